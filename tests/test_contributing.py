@@ -12,6 +12,7 @@ import pytest
 from tests.support.paths import ROOT
 
 PACKAGES = ("drivers", "daq", "estimator", "experiments")
+TESTS = ("tests/support", "tests/evidence/blind", "tests/estimator/effects")
 FILE = re.compile(r"^`(\w+/\S+\.py)`:\n\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -22,7 +23,7 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = FILE.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
     assert [Path(name).parent.as_posix() for name, _ in files] == [
         "estimator/effects", "estimator/model", "drivers", "drivers", "experiments/cli/commands"]
-    for name in (*PACKAGES, "tests/support"):
+    for name in (*PACKAGES, *TESTS):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     for name, code in files:
@@ -41,6 +42,16 @@ def run(house: Path, *command: str) -> str:
 def test_an_effect_a_mechanism_a_device_a_drive_and_a_command_are_one_file_each(house: Path, tmp_path: Path) -> None:
     said = run(house, "-m", "tests.support.contributed", str(tmp_path))
     assert "wind (by joint)" in said and said.endswith("2.00 s\n")
+
+
+def test_the_effect_keeps_the_contract_and_is_asked_for_a_plant(house: Path) -> None:
+    command = [sys.executable, "-m", "pytest", "-rA", "-p", "no:cacheprovider", "tests/estimator/effects", "-k", "wind"]
+    done = subprocess.run(command, cwd=house, env={**os.environ, "PYTHONPATH": str(house)}, capture_output=True,
+                          text=True, timeout=240)
+    passed, failed = (set(re.findall(rf"^{word} .*test_contract.py::(\w+)\[wind\]", done.stdout, re.MULTILINE))
+                      for word in ("PASSED", "FAILED"))
+    assert failed == {"test_it_is_found_with_its_size_in_a_plant_of_other_code"} and len(passed) == 6, done.stdout
+    assert "add a plant to tests/support/hidden_effects.py" in done.stdout
 
 
 def test_the_files_keep_the_rules_of_style(house: Path) -> None:

@@ -12,12 +12,9 @@ from estimator.change.contrast import Contrast
 from estimator.change.payload import NAMES, UNITS, body_basis, fit_body, link_lengths
 from estimator.change.result import Kind
 from estimator.change.scores import ReferenceFit
-from estimator.effects import Effect
+from estimator.effects import BodyEffect, Effect, EncoderEffect, ImuEffect
 from estimator.model import has_bodies
 from estimator.score import Score
-
-KINDS: dict[str, Kind] = {"sensors": "sensors", "stand": "environment"}
-"""Module of an effect -> kind of change; effects of other modules are changes of timing or of mechanics."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,9 @@ def kind_of(effect: type[Effect]) -> Kind:
     """Kind of change that an effect is."""
     if effect.sizes[0].unit == "s":
         return "timing"
-    return KINDS.get(effect.__module__.rpartition(".")[2], "mechanics")
+    if issubclass(effect, ImuEffect | EncoderEffect):
+        return "sensors"
+    return "environment" if issubclass(effect, BodyEffect) else "mechanics"
 
 
 def _links(fit: ReferenceFit, columns: FloatArray, payloads: Sequence[Group]) -> Iterator[Group]:

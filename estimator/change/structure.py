@@ -33,6 +33,9 @@ RUNS_A_DRIFT = 2
 """Runs that each drift needs: few do not determine many."""
 RANGE = (-20.0, 20.0)
 """Of log variances"""
+STOP = 3e-3
+"""Slope of the log likelihood by a log variance at which a search ends: a standard deviation is that exact, as a share,
+where the runs determine it at all"""
 STEP = 3.0
 """Largest change of a log variance in one search"""
 GRID = np.logspace(-3, 6, 37)
@@ -166,7 +169,7 @@ def _fit(sessions: Sequence[Sequence[_Run]], parameters: int, begin: _Variances)
     logs = np.clip(np.log([begin.common, begin.own, *begin.drift]), *RANGE)
     while True:  # not far at once: where all variances are immense, the likelihood has another maximum
         near = [(max(x - STEP, RANGE[0]), min(x + STEP, RANGE[1])) for x in map(float, logs)]
-        found = minimize(misfit, logs, method="L-BFGS-B", jac=True, bounds=near, options={"ftol": 1e-9, "gtol": 3e-3})
+        found = minimize(misfit, logs, method="L-BFGS-B", jac=True, bounds=near, options={"ftol": 1e-9, "gtol": STOP})
         done = np.abs(found.x - logs).max() < 0.99 * STEP
         logs = found.x
         if done:

@@ -55,6 +55,12 @@ class DiagnosisContext:
     """Least relative reduction of the free-run error that counts"""
     biases: dict[int, list[FloatArray]] = field(default_factory=dict)
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
+    scores: tuple[Score, ...] = ()
+    """(R,) of the nominal parameters, one a train run"""
+    left_out: list[tuple[Model, dict[int, PredictedRun]]] = field(default_factory=list)
+    """See `search.left_out_runs`"""
+    extensions: list[tuple[Explanation, Model]] = field(default_factory=list)
+    """See `with_generic`"""
     held: dict[bytes, Model] = field(default_factory=dict)
     """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
     and ..."""
@@ -92,7 +98,7 @@ class DiagnosisContext:
 
     def gain(self, tests: ScoreTests, i: int) -> float:
         """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
-        columns, open_size = self.columns[i], self.candidates[i].effect.open_size(self.split.clock_bound_s)
+        columns, open_size = self.columns[i], self.split.open_size(self.candidates[i].effect)
         if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
             return 0.0
         return tests.gain(columns)
@@ -117,7 +123,8 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
             bias = bootstrap_scores(nominal, candidates, scores, rng)
         except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
             bias = [np.zeros_like(s.score) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
+    own = tuple(s.of(np.arange(split.mechanism.p)) for s in scores)
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng, scores=own)
     return context, tests_of(nominal, scores, bias)
 
 
@@ -162,7 +169,7 @@ def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, 
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.least_gain)
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
+                          float(tests.size(columns)[0]), max(detectable, context.split.open_size(effect)),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
@@ -200,6 +207,15 @@ def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests)
         except (FitError, np.linalg.LinAlgError):
             continue
     return None
+
+
+def with_generic(context: DiagnosisContext, explanation: Explanation) -> Model:
+    """The model of an assessed explanation with generic terms, its own where none is significant; fitted once."""
+    known = next((model for one, model in context.extensions if one.left is explanation.left), None)
+    if known is None:
+        known = generic_extension(context, explanation.model, explanation.left) or explanation.model
+        context.extensions.append((explanation, known))
+    return known
 
 
 def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:
@@ -262,4 +278,5 @@ def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequen
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
     return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
-                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
+                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
+                   scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis.decision_rule import LEAST_S
-from estimator.effects import Effect
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
@@ -51,10 +51,11 @@ class RunSplit:
     """Run to `Noise.stiction`, as the nominal model has it: all explanations are compared on the same weights."""
 
     @property
-    def inner(self) -> tuple[int, ...]:
-        """Train runs that stand for test runs while the search goes on: the next fold."""
-        return next((fold for fold in folds(len(self.runs)) if fold != self.test and set(fold) <= set(self.train)),
-                    self.train)
+    def inner(self) -> list[tuple[int, ...]]:
+        """Folds of the train runs: each stands for test runs while the search goes on; a single train run for
+        itself."""
+        found = [fold for fold in folds(len(self.runs)) if fold != self.test]
+        return found if len(found) > 1 else [self.train]
 
     @property
     def has_imu(self) -> bool:
@@ -64,6 +65,10 @@ class RunSplit:
     def encoders(self) -> tuple[int, ...]:
         """0-based joints whose encoders are read."""
         return self.options.encoders_of(self.mechanism.n)
+
+    def open_size(self, effect: Effect) -> float:
+        """Size of `effect` below which the recorder's clocks leave it open anyway; zero unless it is a time skew."""
+        return self.clock_bound_s if isinstance(effect, SensorTimeSkew) else 0.0
 
     def floors(self, problem: LatentProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""

@@ -64,7 +64,7 @@ the rig declares (see `noise_ratios`). Of a replicate: its sum of squares over i
 
 REPLICATED_SAMPLES = 24_000
 """Samples, about, that the replicates of the train runs have in all; of each run there are two at least."""
-WHOLE_RUNS = 8
-"""Replicates of a run whose free runs over the whole of it say what noise leaves."""
+WHOLE_RUNS = 16
+"""Replicates, of all runs that are measured together, whose free runs over whole runs say what noise leaves."""
 DRAWS = 400
 """Number of bootstrap resamples of the held-out runs."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,8 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
 
     def measured(k: int) -> tuple[PredictedRun, FloatArray]:
         fitted = [smooth(model, split.test[k]) for model in models]
-        floor = floor_of(models[unit], split.test[k], fitted[unit], seeds[k], DECIDING_S, noise).mean(axis=-1)
+        floor = floor_of(models[unit], split.test[k], fitted[unit], seeds[k], DECIDING_S, noise,
+                         len(seeds)).mean(axis=-1)
         found = predict_run(fitted, DECIDING_S, misfits=False)
         return replace(found, misfits=np.array([one.misfit(models[unit].state.noise) for one in fitted])), floor
 
@@ -113,19 +115,14 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
     return judged(models[unit], [run for run, _ in parts], [floor for _, floor in parts], smoothers, rng)
 
 
-def train_floor(unit: Model, noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
-    """(H, C) what `noise` leaves of model `unit` in each of some train runs. Raises `FitError` where that diverges.
-
-    The runs that are tested next in a rotation tell it well enough.
-    """
-    split = unit.split
-    seeds = rng.integers(2**63, size=len(split.inner))
+def floors_of(unit: Model, runs: Sequence[int], noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
+    """(H, C) what `noise` leaves of model `unit` in each of these `runs`. Raises `FitError` where that diverges."""
+    seeds = rng.integers(2**63, size=len(runs))
 
     def left(k: int) -> FloatArray:
-        run = split.inner[k]
-        return floor_of(unit, run, smooth(unit, run), seeds[k], DECIDING_S, noise).mean(axis=-1)
+        return floor_of(unit, runs[k], smooth(unit, runs[k]), seeds[k], DECIDING_S, noise, len(runs)).mean(axis=-1)
 
-    return parallel_map(left, len(split.inner), split.workers)
+    return parallel_map(left, len(runs), unit.split.workers)
 
 
 def judged(unit: Model, runs: Sequence[PredictedRun], floors: Sequence[FloatArray], smoothers: Sequence[int],
@@ -173,11 +170,12 @@ def sensors_of(model: Model) -> tuple[str, ...]:
 
 
 def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, horizons_s: Sequence[float],
-             noise: FloorNoise) -> FloatArray:
+             noise: FloorNoise, count: int) -> FloatArray:
     """(H, C, N) squared errors of replicates with this `noise` alone, of the run as `fitted`, in `sensors_of`.
 
-    Those over whole runs are a mean of WHOLE_RUNS replicates: a leg that sticks leaves ten times as much in one as in
-    another. The error of a pivot's angle without an encoder is about its mean, as in `tabulate`.
+    The run is one of `count`. Errors over whole runs are a mean of WHOLE_RUNS replicates of all of them: a leg that
+    sticks leaves ten times as much in one as in another. The error of a pivot's angle without an encoder is about its
+    mean, as in `tabulate`.
     """
     split, rng = model.split, np.random.default_rng(seed)
     rows, whole = [channel_names(fitted.problem).index(c) for c in sensors_of(model)], np.isinf(horizons_s)
@@ -191,5 +189,6 @@ def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, 
 
     squares = drawn(horizons_s)
     if whole.any():
-        squares[whole] = np.mean([squares[whole], *(drawn([np.inf]) for _ in range(WHOLE_RUNS - 1))], axis=0)
+        more = ceil(WHOLE_RUNS / count) - 1
+        squares[whole] = np.mean([squares[whole], *(drawn([np.inf]) for _ in range(more))], axis=0)
     return squares

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import SURE
 from estimator.diagnosis.model import Model
-from estimator.prediction import PredictedRun
-from estimator.score import NO_TESTS, ScoreTests, least_sigmas
+from estimator.score import NO_TESTS, Score, ScoreTests, least_sigmas
 
 LEAST_APART = 2.0 * float(np.log(SURE / (1.0 - SURE)))
 """Difference in gain at which one explanation has the probability SURE, of two."""
@@ -39,8 +38,8 @@ class Explanation:
     """(m,) whether these runs determine each of its parameters; see `estimator.score`"""
     further: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(K,) gain of each candidate in addition to it; zero for its own effects"""
-    predicted: tuple[PredictedRun, ...] = ()
-    """(R,) its free runs on the train runs"""
+    scores: tuple[Score, ...] = ()
+    """(R,) of its own parameters, one a train run"""
 
     @property
     def keys(self) -> frozenset[str]:

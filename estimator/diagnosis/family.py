@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.context import DiagnosisContext, assess, generic_extension
+from estimator.diagnosis.context import DiagnosisContext, assess, with_generic
 from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
@@ -81,7 +81,7 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
     shortlist = by_error(shortlisted(found))
     family = Family(rows.of(generic), closest=shortlist[0] if shortlist else None, dominated=context.noise_dominated)
     if any(map(admissible, shortlist)):
-        floor = floor_of_best(context, shortlist, None if generic is None else noise_floor(generic))
+        floor = floor_of_best(context, shortlist, context.split.train)
         best, parts = choose_answer(context, shortlist, floor)
         more = with_one_more(context, best[0])
         answer, largest = _answer(context, rows, best, parts, imitates(context, best[0], more))
@@ -103,7 +103,7 @@ def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation],
             imitating: bool = False) -> tuple[Answer, Model]:
     """The answer by its rows, and the first of it with generic terms, where any is significant."""
     first = best[0].model
-    extended = generic_extension(context, first, best[0].left) or first
+    extended = with_generic(context, best[0])
     answer = Answer(tuple(best), rows.of(first), tuple(rows.of(part.model) for part in parts), rows.of(extended),
                     imitating)
     return answer, extended

@@ -44,7 +44,7 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
         found = predict_run([as_validated(nominal, run), as_validated(extended, run)], [horizon_s], misfits=False)
         if not np.isfinite(found.simulated[1]).all():
             raise FitError("the free run diverges")
-        floor = floor_of(extended, run, smooth(extended, run), seeds[k], [horizon_s], noise)
+        floor = floor_of(extended, run, smooth(extended, run), seeds[k], [horizon_s], noise, len(seeds))
         return found, floor.mean(axis=-1)
 
     parts = parallel_map(predicted, len(split.test), split.workers)

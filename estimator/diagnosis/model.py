@@ -29,6 +29,7 @@ from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
+    SHORT_S,
     FittedModel,
     PredictedRun,
     SmoothedRun,
@@ -38,7 +39,7 @@ from estimator.prediction import (
     simulate_run,
     smooth_under,
 )
-from estimator.score import Score, ScoreTests, project, score_alone, score_at
+from estimator.score import Score, ScoreTests, project, score_alone, score_at, total
 from estimator.signals import SignalSet
 
 SMOOTHING_STEPS = 12
@@ -231,12 +232,33 @@ def misfit_by_run(model: Model) -> FloatArray:
 
 
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
-    """Free runs of each train run from the fitted motion, at the horizons `DECIDING_S`."""
+    """Free runs over SHORT_S of each train run from the fitted motion."""
     split, found = model.split, []
     for i, state in zip(split.train, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        found.append(predict_run([SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)], DECIDING_S))
+        one = SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)
+        found.append(predict_run([one], [SHORT_S], misfits=False))
     return tuple(found)
+
+
+def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int]) -> dict[int, PredictedRun]:
+    """Free runs of the train runs in `fold` at the horizons `DECIDING_S`, with parameters that were not fitted to them.
+
+    The infinitesimal jackknife (Giordano et al., AISTATS 2019): with s the sum of the other runs' `scores`, one a train
+    run, and I the information of all, the parameters move by I^-1 s. What only the runs of the fold know hardly moves.
+    Raises `FitError` where a motion diverges.
+    """
+    split, beta = model.split, model.state.beta.copy()
+    free = np.flatnonzero(np.diag(model.state.covariance) > 0.0)
+    others = [s.score[free] for s, run in zip(scores, split.train) if run not in fold]
+    if others and free.size:
+        beta[free] += total([s.of(free) for s in scores]).covariance() @ np.sum(others, axis=0)
+    moved = replace(model, state=replace(model.state, beta=beta))
+    found = {}
+    for run in fold:
+        one = smooth(moved, run)
+        found[run] = predict_run([one], DECIDING_S)
+    return found
 
 
 def deviance(model: Model) -> float:

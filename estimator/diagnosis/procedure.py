@@ -47,7 +47,7 @@ from estimator.errors import FitError
 from estimator.fitting import between_samples, describe_smoothing_velocity
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
-from estimator.numerics import jit
+from estimator.numerics import load_compiler
 from estimator.options import AUTO, FitOptions
 from estimator.parallel import cores
 from estimator.score import ScoreTests
@@ -91,7 +91,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     """The diagnosis of runs that are split; friction's smoothing velocity is estimated from `stated`, if given."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
-    jit.expect()
+    load_compiler()
     effects, refused = library(split.mechanism, split.has_imu, split.encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
@@ -112,7 +112,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     base = replace(base, candidates=rank(context, tests), separability=separability(context, tests))
     found: list[Explanation] = []
     if there or large(context):
-        found = search(context, tests, generic, say)
+        found = search(context, tests, say)
     elif context.noise_dominated:
         raise FitError(context.noise_dominated)
     say("simulating the held-out runs", 0.85)
@@ -126,7 +126,7 @@ def large(context: DiagnosisContext) -> bool:
     if noisy_sensors(context.nominal):
         return True
     with suppress(FitError):
-        return train_table(context, [], floor_of_best(context, [], None)).error(NOMINAL) > EDGE
+        return train_table(context, [], floor_of_best(context, [], context.split.train)).error(NOMINAL) > EDGE
     return False
 
 

@@ -25,18 +25,28 @@ from estimator.diagnosis.context import (
     assess_answers,
     best_shapes,
     start_size,
+    with_generic,
     without,
 )
 from estimator.diagnosis.decision_rule import EDGE, GROWN, MOST_EFFECTS, SUFFICES, WIDTH
-from estimator.diagnosis.error_table import NOMINAL, ErrorTable, judged, train_floor
+from estimator.diagnosis.error_table import NOMINAL, ErrorTable, floors_of, judged
 from estimator.diagnosis.explanation import Explanation, admissible, presence, seated, undetermined
-from estimator.diagnosis.model import Model, deviance, misfit, misfit_by_run, predicted_train, refit
+from estimator.diagnosis.model import (
+    Model,
+    deviance,
+    misfit,
+    misfit_by_run,
+    predicted_left_out,
+    predicted_train,
+    refit,
+    score_train,
+)
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
-from estimator.prediction import SHORT_S, FloorNoise, PredictedRun, tabulate, together
-from estimator.score import ScoreTests
+from estimator.prediction import SHORT_S, PredictedRun, tabulate, together
+from estimator.score import Score, ScoreTests
 
 FIRST_STEPS, HELD_STEPS = 2, 12
 """Most steps of a fit with shapes held: of those that are tried, and of those that are fitted to the end."""
@@ -55,7 +65,7 @@ class Promise(NamedTuple):
     """A set of more effects can be."""
 
 
-def search(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, say: Progress) -> list[Explanation]:
+def search(context: DiagnosisContext, tests: ScoreTests, say: Progress) -> list[Explanation]:
     """Explanations, the likeliest first, each set of effects once, weighed under the noise levels of the best.
 
     More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones
@@ -63,21 +73,19 @@ def search(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, 
     """
     found: list[Explanation] = []
     parents = [Explanation(context.nominal, 0.0, tests)]
-    noise = None if generic is None else noise_floor(generic)
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
         starts = grown(context, parents)
         fits = fit_sets(context, starts[:WIDTH])
         best = assess_answers(context, fits)
-        if not best or promise(context, [*found, *best], noise).better:  # noise can hide what a wrong effect leaves
+        if not best or promise(context, [*found, *best]).better:  # noise can hide what a wrong effect leaves
             fits += fit_sets(context, tried(context, starts[WIDTH:]))
             best = assess_answers(context, without(fits, best), best)
         if not best:
             break
         parents = seated(best, WIDTH)
         found += [*best, *reduced(context, parents)]
-        if (count == MOST_EFFECTS or not any(e.has_residual for e in parents)
-                or not promise(context, found, noise).larger):
+        if count == MOST_EFFECTS or not any(e.has_residual for e in parents) or not promise(context, found).larger:
             break
         rest = assess(context, without(fits, best))  # a cause of several can be far from the likeliest single one
         parents = seated(sorted([*best, *rest], key=lambda e: -e.gain), WIDTH)
@@ -87,17 +95,16 @@ def search(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, 
     return weigh(context, possible(found + exchanged(context, tests, found)))
 
 
-def promise(context: DiagnosisContext, found: Sequence[Explanation], noise: FloorNoise | None) -> Promise:
+def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
     """Whether other sets of effects, and larger ones, than those `found` can be materially better, by the train runs.
 
-    The least error must leave room for that above the `noise` floor, which is that of the nominal model with generic
-    terms: a wrong effect counts what it leaves as a disturbance. None: the floor of the best of `found`. For larger
-    sets the last effect must have reduced the error by a good part of the material amount; a second effect is tried
-    without that, too, where the error is larger than a disturbance explains.
+    The least error must leave room for that above the noise floor. For larger sets the last effect must have reduced
+    the error by a good part of the material amount; a second effect is tried without that, too, where the error is
+    larger than a disturbance explains.
     """
     best = by_error(first_of_each(found))
     try:
-        table = train_table(context, best, floor_of_best(context, best, noise))
+        table = train_table(context, best, floor_of_best(context, best, context.split.train))
     except FitError:
         return Promise(True, True)
     counts = np.array([0, *(len(e.model.effects) for e in best)])
@@ -110,25 +117,49 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], noise: Floo
 
 
 class TrainFloor(NamedTuple):
-    """What noise leaves of the free runs of one model on the train runs."""
+    """What noise leaves of the free runs of one model on some train runs."""
 
     unit: Model
+    runs: tuple[int, ...]
     floors: list[FloatArray]
 
 
-def floor_of_best(context: DiagnosisContext, best: Sequence[Explanation], noise: FloorNoise | None) -> TrainFloor:
-    """The floor of the first of `best` that can be simulated, else of the nominal model, with this `noise`, by default
-    its own. Raises `FitError` where none can."""
-    for model in [*(e.model for e in best), context.nominal]:
+def floor_of_best(context: DiagnosisContext, best: Sequence[Explanation], runs: tuple[int, ...]) -> TrainFloor:
+    """The floor on these train `runs` of the first of `best` that can be simulated, else of the nominal model, with the
+    noise that it has with generic terms: a wrong effect counts what it leaves as a disturbance. Raises `FitError` where
+    none can."""
+    for one in best:
         with suppress(FitError):
-            return TrainFloor(model, train_floor(model, noise or noise_floor(model), context.rng))
-    raise FitError("every simulation of the train runs diverges")
+            noise = noise_floor(with_generic(context, one))
+            return TrainFloor(one.model, runs, floors_of(one.model, runs, noise, context.rng))
+    nominal = context.nominal
+    return TrainFloor(nominal, runs, floors_of(nominal, runs, noise_floor(nominal), context.rng))
 
 
 def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: TrainFloor) -> ErrorTable:
-    """Errors of the nominal model and of `found`, in this order, on the train runs, in units of the `floor`."""
-    runs = [reduce(together, each) for each in zip(context.predicted, *(e.predicted for e in found))]
-    return judged(floor.unit, runs, floor.floors, range(1 + len(found)), context.rng)
+    """Errors of the nominal model and of `found`, in this order, on the runs of the `floor`, in its units.
+
+    Each run is predicted by the fit to the other train runs. Raises `FitError`.
+    """
+    every = [left_out_runs(context, context.nominal, context.scores, floor.runs),
+             *(left_out_runs(context, e.model, e.scores, floor.runs) for e in found)]
+    runs = [reduce(together, [one[run] for one in every]) for run in floor.runs]
+    return judged(floor.unit, runs, floor.floors, range(len(every)), context.rng)
+
+
+def left_out_runs(context: DiagnosisContext, model: Model, scores: Sequence[Score], runs: Sequence[int]
+                  ) -> dict[int, PredictedRun]:
+    """Each of these train `runs` as predicted by the fit of `model` without its fold; each fold once."""
+    known = next((found for one, found in context.left_out if one is model), None)
+    if known is None:
+        known = {}
+        context.left_out.append((model, known))
+    missing = [fold for fold in context.split.inner if set(fold) & set(runs) and not set(fold) <= known.keys()]
+    own = scores if scores or not missing else score_train(model, ())
+    for found in parallel_map(lambda k: predicted_left_out(model, own, missing[k]), len(missing),
+                              context.split.workers):
+        known |= found
+    return known
 
 
 def possible(found: Sequence[Explanation]) -> list[Explanation]:
@@ -195,9 +226,9 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
 
 
 def explained(context: DiagnosisContext, models: Sequence[Model]) -> list[Explanation]:
-    """Explanations by `models`, with their free runs on the train runs; the likeliest first."""
+    """Explanations by `models`, with the error of their free runs on the train runs; the likeliest first."""
     runs = parallel_map(lambda k: predicted_train(models[k]), len(models), context.split.workers)
-    found = [Explanation(m, context.deviance - deviance(m), error=relative_error(context.predicted, own), predicted=own)
+    found = [Explanation(m, context.deviance - deviance(m), error=relative_error(context.predicted, own))
              for m, own in zip(models, runs)]
     return sorted(found, key=lambda e: -e.gain)
 

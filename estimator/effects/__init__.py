@@ -1,9 +1,11 @@
-"""Effects that a simulation of the leg can get wrong: one small class an effect."""
+"""Effects that a simulation of the leg can get wrong: one file with one class an effect."""
 
+from estimator.effects.backlash import Backlash
 from estimator.effects.base import (
     Axis,
     BodyEffect,
     Effect,
+    LawEffect,
     Perturbation,
     PlanKind,
     Points,
@@ -16,21 +18,29 @@ from estimator.effects.base import (
     View,
 )
 from estimator.effects.derivatives import Laws, by_motion
+from estimator.effects.encoder_offset import EncoderOffset
+from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
-from estimator.effects.sensors import EncoderOffset
+from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
+from estimator.effects.sensor_time_skew import SensorTimeSkew
 from estimator.effects.state_torque import StateTorque, Table, Variable
-from estimator.effects.timing import SensorTimeSkew
+from estimator.effects.stribeck_friction import StribeckFriction
 
 __all__ = [
     "ENTRY_POINT",
     "UNTESTABLE",
     "Axis",
+    "Backlash",
     "BodyEffect",
     "Effect",
+    "EncoderEffect",
     "EncoderOffset",
+    "GearEffect",
     "GenericReading",
     "GenericTorque",
+    "ImuEffect",
+    "LawEffect",
     "Laws",
     "Perturbation",
     "PlanKind",
@@ -42,6 +52,7 @@ __all__ = [
     "Size",
     "StateEffect",
     "StateTorque",
+    "StribeckFriction",
     "Table",
     "TorqueEffect",
     "Variable",

@@ -125,6 +125,25 @@ class View:
         a, b = x[..., self.left], x[..., self.left + 1]
         return np.stack([(1.0 - w) * a + w * b for w in self.weights], axis=-2)
 
+    def delayed(self, true: FloatArray, recorded: FloatArray | None, delay_s: float) -> FloatArray:
+        """(N,) what a delay d adds to a sensor's reading at the samples: x(t - d) - x(t), x the `true` quantity (N,).
+
+        Where the sensor has `recorded` y (N,), it is y(t) - y(t + d): the residual then is x(t) - y(t + d), whose
+        dependence on x is plain, instead of x(t - d) - y(t).
+        """
+        if recorded is not None:
+            return recorded - self.shifted(recorded, -delay_s)
+        return self.shifted(true, delay_s) - true
+
+    def shifted(self, x: FloatArray, delay_s: float) -> FloatArray:
+        """x(t - delay) at the samples (N,), cubic spline within each segment, its ends held."""
+        from scipy.ndimage import shift
+
+        out = np.empty_like(x)
+        for where in self.segments():
+            out[where] = shift(x[where], delay_s / self.dt_s, order=3, mode="nearest")
+        return out
+
     def segments(self) -> list[slice]:
         """Gap-free segments of samples."""
         stops = np.append(self.starts[1:], self.samples.q.shape[-1])
@@ -183,8 +202,6 @@ class Effect(ABC):
     """Whether each of several motors has its own size; the only motor of a rig has no joint."""
     equivalence_class: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
-    instant: ClassVar[bool] = False
-    """The torque that it adds in a simulation is `law` alone."""
     distinguishing_size: ClassVar[int | None] = None
     """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
     positive: ClassVar[int] = 0
@@ -201,20 +218,6 @@ class Effect(ABC):
         """0-based; None for effects of the whole rig."""
         self.slide = slide
         """Whether its joint is prismatic; see `WHEEL_M`."""
-
-    @property
-    def parts(self) -> tuple[Joined, ...]:
-        """Terms whose sum is its law, joint by joint."""
-        return (self,)
-
-    @property
-    def has_state(self) -> bool:
-        """Whether its law has a state in a simulation."""
-        return isinstance(self, StateEffect) and self.parts == (self,)
-
-    def felt(self, count: int) -> Iterable[int]:
-        """Joints of `count` whose motion its law depends on."""
-        return (self.joint or 0,)
 
     @property
     def key(self) -> str:
@@ -260,37 +263,13 @@ class Effect(ABC):
         magnitudes = np.abs(self.tried(shape))
         return float(magnitudes.min() / shape.below), float(magnitudes.max() * shape.above)
 
-    def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
-        """`size` of a law with its slope reduced by up to `slack`, for a motion that starts far from its solution."""
-        return size
-
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         """Its contribution at `size` (count,) to the motion in `view`."""
 
-    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
-        """(...) torque on its own joint [N m] by the motion at the same instant; zero where there is none."""
-        return np.zeros_like(at.time_s)
-
-    def level_at_rest(self, size: FloatArray) -> float:
-        """Dry friction that it adds to its joint's Coulomb level near rest [N m], mean of both directions."""
-        return 0.0
-
-    def open_size(self, clock_bound_s: float) -> float:
-        """Below which the recorder's clocks, known to `clock_bound_s`, leave its first size open anyway."""
-        return 0.0
-
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else
         lagged."""
-        return {}
-
-    def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:
-        """beta (p,) of a simulation without a record, friction of the motor's side included."""
-        return beta
-
-    def drive_loss(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
-        """Joint to the motor's torque (N,) beyond the torque latent, where a record's is the torque behind a gear."""
         return {}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
@@ -298,15 +277,33 @@ class Effect(ABC):
         return ""
 
 
-class TorqueEffect(Effect):
-    """A torque that depends on the motion at the same instant."""
+class LawEffect(Effect):
+    """An effect whose torque in a simulation is `law` alone: a function of the motion, and of its state, at an instant.
+    """
 
     per_joint = True
-    instant = True
 
     @abstractmethod
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """(...) torque on its own joint [N m]."""
+
+    @property
+    def parts(self) -> tuple[Joined, ...]:
+        """Terms whose sum is its law, joint by joint."""
+        return (self,)
+
+    @property
+    def has_state(self) -> bool:
+        """Whether its law has a state in a simulation."""
+        return isinstance(self, StateEffect) and self.parts == (self,)
+
+    def felt(self, count: int) -> Iterable[int]:
+        """Joints of `count` whose motion its law depends on."""
+        return (self.joint or 0,)
+
+
+class TorqueEffect(LawEffect):
+    """A torque that depends on the motion at the same instant."""
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         return Perturbation(self._placed(view.gauss, size, view), self._placed(view.samples, size, view))
@@ -317,14 +314,11 @@ class TorqueEffect(Effect):
         return out
 
 
-class StateEffect(Effect):
+class StateEffect(LawEffect):
     """A torque by the motion and one state z, which begins as sign(v) and forgets: z[k+1] = e z[k] + (1 - e) target.
 
     The state is linear between samples.
     """
-
-    per_joint = True
-    instant = True
 
     @abstractmethod
     def relaxation(self, v: tuple[FloatArray, FloatArray], sign: tuple[FloatArray, FloatArray], size: FloatArray,

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Effect, Joined, Points, StateEffect, View
+from estimator.effects.base import Joined, LawEffect, Points, StateEffect, View
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3, "sign": 1e-4, "state": 1e-4}
@@ -42,7 +42,7 @@ def _moved(at: Points, name: str, joint: int | None, by: float) -> Points:
 class Laws:
     """Laws of some effects along a simulated motion, from one interval on."""
 
-    pairs: Sequence[tuple[Effect, FloatArray]]
+    pairs: Sequence[tuple[LawEffect, FloatArray]]
     view: View
     """At any motion: what does not change with it is taken from there."""
     first: int = 0
@@ -122,7 +122,7 @@ class Laws:
         return effect.relaxation(rates, (smooth_sign(rates[0], scale), smooth_sign(rates[1], scale)), size,
                                  self.view.dt_s)
 
-    def scale(self, effect: Effect) -> float:
+    def scale(self, effect: LawEffect) -> float:
         """Smoothing velocity at its joint."""
         return float(self.view.mechanism.velocity_scales[effect.joint or 0])
 

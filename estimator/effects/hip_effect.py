@@ -14,7 +14,8 @@ from typing import TypeVar
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Effect, Joined, Perturbation, Points, View
+from estimator.effects.base import Effect, Joined, LawEffect, Perturbation, Points, View
+from estimator.effects.gear_effect import GearEffect
 from estimator.signals import Channel
 
 K = TypeVar("K")
@@ -31,11 +32,12 @@ class Half:
         return np.asarray(np.equal(at.exchanged, self.exchanged), dtype=np.float64)
 
     def felt(self, count: int) -> Iterable[int]:
-        """See `Effect.felt`."""
-        return self.effect.felt(count)
+        """See `LawEffect.felt`."""
+        return self.effect.felt(count) if isinstance(self.effect, LawEffect) else ()
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
-        """The effect's law where it acts; see `Effect.law`."""
+        """The effect's law where it acts; see `LawEffect.law`."""
+        assert isinstance(self.effect, LawEffect)
         return np.asarray(self.acts(at) * self.effect.law(at, size, self.seen(view)))
 
     def seen(self, view: View) -> View:
@@ -73,7 +75,8 @@ class _HipEffect(Effect):
         return self._by_turns(view, lambda effect: effect.by_torque(view, size))
 
     def drive_loss(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
-        return self._by_turns(view, lambda effect: effect.drive_loss(view, size))
+        """See `GearEffect.drive_loss`."""
+        return self._by_turns(view, lambda gear: gear.drive_loss(view, size) if isinstance(gear, GearEffect) else {})
 
     def _by_turns(self, view: View, of: Callable[[Effect], Mapping[K, FloatArray]]) -> dict[K, FloatArray]:
         out: dict[K, FloatArray] = {}

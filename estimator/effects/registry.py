@@ -8,10 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from estimator.effects import sensors
-from estimator.effects.base import BodyEffect, Effect, Perturbation, Points, SensorEffect, Shape, Size, View
+from estimator.effects.base import BodyEffect, Effect, SensorEffect
+from estimator.effects.gear_effect import GearEffect
 from estimator.effects.hip_effect import hip_effect
-from estimator.effects.structure import GearEffect
+from estimator.effects.sensor_effects import NO_ENCODER, EncoderEffect
 from estimator.model import Mechanism
 
 UNTESTABLE = {
@@ -32,7 +32,7 @@ def classes() -> tuple[type[Effect], ...]:
 
 @cache
 def library_classes() -> tuple[type[Effect], ...]:
-    """The classes with a `sentence` in the modules of this folder, in the order of files and lines."""
+    """The classes with a `sentence` in the modules of this folder, in the order of files."""
     package = __name__.rpartition(".")[0]
     modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
     return tuple(kind for module in modules for kind in vars(module).values()
@@ -53,8 +53,8 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
         for joint in joints_of(kind, mechanism):
             effect = placed(kind, joint, mechanism)
             why = effect.testable(mechanism, has_imu, mechanism.actuated) or _walking(effect, mechanism)
-            if not why and issubclass(kind, (sensors.EncoderEffect, GearEffect)) and joint not in read:
-                why = sensors.NO_ENCODER
+            if not why and issubclass(kind, (EncoderEffect, GearEffect)) and joint not in read:
+                why = NO_ENCODER
             if why:
                 refused[effect.key] = why
             else:
@@ -86,5 +86,3 @@ def _walking(effect: Effect, mechanism: Mechanism) -> str:
         return "a walker's joint 1 is the torso against the vertical: no friction or spring acts there"
     return ""
 
-
-__all__ = ["Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library", "placed"]

@@ -86,6 +86,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     findings: list[Finding] = []
     while (k := _most_negative(result)) is not None:
         name, value, std = mechanism.names[k], float(result.beta[k]), float(result.own_std[k])
+        upper = max(value + float(result.half_width[k]), 0.0)
         low = f"{name} ({mechanism.parameters[k].meaning}) is {value:.2g} +- {std:.1g}, below its physical limit"
         if result.undetermined:  # a level in its place would pass for knowledge of the rest
             findings.append(Finding("warning", "level_at_zero", low))
@@ -100,7 +101,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
         except FitError as error:
             findings[-1] = Finding("warning", "level_at_zero", f"{low}; with 0 in its place there is no fit ({error})")
             break
-        limits[name] = max(value + float(result.half_width[k]), 0.0)
+        limits[name] = upper
     fixed = {name: value for name, value in result.fixed.items() if name not in limits}
     closed = np.where([name in result.open_parameters for name in mechanism.names], np.inf, result.own_std)
     q = np.concatenate([t.q for t in result.trajectories]) if result.trajectories else np.zeros((0, mechanism.n))

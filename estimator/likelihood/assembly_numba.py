@@ -5,6 +5,7 @@ One pass makes the weighted rows of a few samples, turns them and sums their pro
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,7 @@ from daq import FloatArray
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Samples, invert
-from estimator.numerics import Kernel, at, padded
+from estimator.numerics import at, compile_kernel, padded
 from estimator.signals import accelerometer_slopes, imu_channels
 
 STRIP = 32
@@ -133,7 +134,7 @@ def _constant(edge: int) -> int:
 
 
 @cache
-def _intervals(n: int, block: int, fixed: int) -> Kernel:
+def _intervals(n: int, block: int, fixed: int) -> Callable[..., None]:
     """The kernel that adds K intervals of n joints to a chain of so large blocks; `fixed` is the chain's edge if that
     is a constant.
 
@@ -205,11 +206,11 @@ def _intervals(n: int, block: int, fixed: int) -> Kernel:
                             t += after[r, i] * after[r, c]
                         rows[at(k + 1), i, c] = t
 
-    return Kernel(run, "f4 f5 f3 f2 i1 f3 f2 f2 n f3 f2 f1 f3 f2 f2")
+    return compile_kernel(run, "f4 f5 f3 f2 i1 f3 f2 f2 n f3 f2 f1 f3 f2 f2")
 
 
 @cache
-def _samples(n: int, block: int, fixed: int) -> Kernel:
+def _samples(n: int, block: int, fixed: int) -> Callable[..., None]:
     """The kernel that adds an accelerometer's two axes at N samples of n joints to a chain's first N rows.
 
     From z (m, n, N), slopes (n, 5, n, N), reach (r, n, N), by how much joints' torques show on the first r axes, the
@@ -272,4 +273,4 @@ def _samples(n: int, block: int, fixed: int) -> Kernel:
                     for c in range(edge):
                         rows[at(start + w), i, c] += f * transposed[0, c] + g * transposed[1, c]
 
-    return Kernel(run, "f3 f4 f3 f3 f3 f2 f3 f2 n f3 f3 f3 f2")
+    return compile_kernel(run, "f3 f4 f3 f3 f3 f2 f3 f2 n f3 f3 f3 f2")

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import BodyEffect, Effect, Laws, SensorEffect, StateEffect, View
+from estimator.effects import BodyEffect, Effect, LawEffect, Laws, SensorEffect, StateEffect, View
 from estimator.likelihood.effect_columns import added
 from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.normal_equations import Latents
@@ -130,7 +130,7 @@ class _Plant:
                 self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),
                                      np.column_stack([self.start.u, np.zeros_like(q)]))
                 self.u = np.column_stack([self.u, np.zeros_like(q)])
-        instant = [p for p in self.pairs if not _remembers(p[0]) and p[0].instant]
+        instant = [(e, size) for e, size in self.pairs if isinstance(e, LawEffect) and not _remembers(e)]
         self.laws = None
         if instant:
             view = self.view(state.x.q, state.x.v)
@@ -308,7 +308,7 @@ def _remembers(effect: Effect) -> bool:
     """Whether its torque depends on the motion before, by more than a state of its own."""
     if isinstance(effect, SensorEffect | BodyEffect):
         return False
-    return not effect.instant or (isinstance(effect, StateEffect) and not effect.has_state)
+    return not isinstance(effect, LawEffect) or (isinstance(effect, StateEffect) and not effect.has_state)
 
 
 def _calmed(share: float, moved: float, before: float) -> float:

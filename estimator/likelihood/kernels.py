@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 
 from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.model import Mechanism, biped3, joint1, leg2
-from estimator.numerics import eliminate, jit
+from estimator.numerics import eliminate
 from estimator.parallel import cores, parallel_map
 from estimator.signals import IMU_COLUMNS, SignalSet
 
@@ -25,16 +22,11 @@ def usual() -> list[Mechanism]:
             joint1(lever_arm=0.1), joint1(lever_arm=0.1, torque_offset=(0,))]
 
 
-def compile_kernels(workers: int | None = None) -> Path:
-    """Compile or load them all, by default on all cores; where they are kept. OSError where they cannot be."""
-    folder = jit.folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):
-        raise OSError(f"{folder} cannot be written; set {jit.HOME_VARIABLE} to a folder that can")
+def compile_kernels(workers: int | None = None) -> None:
+    """Compile those that Numba's cache does not have yet, by default on all cores."""
     mechanisms = usual()
     each = [*((m, False) for m in mechanisms), *((m, True) for m in (mechanisms[0], mechanisms[3]))]
     parallel_map(lambda i: _use(*each[i]), len(each), cores() if workers is None else workers)
-    return folder
 
 
 def _use(mechanism: Mechanism, disturbed: bool) -> None:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.effects import Effect, Points, View
+from estimator.effects import Backlash, Effect, GearEffect, Points, StribeckFriction, View
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.disturbance import Process, expected_score
 from estimator.likelihood.effect_columns import acting, added, extra_of, slopes_at_zero
@@ -93,7 +93,7 @@ class LatentProblem(MeasuredRuns):
         """Joint to its level of dry friction near rest [N m] at parameters `beta`, what effects there add included."""
         found = {p.at[0]: float(b) for b, p in zip(beta, self.mechanism.parameters) if p.term == "coulomb"}
         for effect, place in zip(self.effects, self.places()):
-            if effect.joint in found and effect.count:
+            if isinstance(effect, StribeckFriction) and effect.joint in found:
                 found[effect.joint] += effect.level_at_rest(beta[place])
         return found
 
@@ -137,9 +137,10 @@ class LatentProblem(MeasuredRuns):
         return parameters[: self.mechanism.p], sizes
 
     def relaxed(self, parameters: FloatArray, slack: float) -> FloatArray:
-        """The parameter vector with a smaller slope of every effect's law; see `Effect.relaxed`."""
+        """The parameter vector with a smaller slope of a gear's play; see `Backlash.relaxed`."""
         beta, sizes = self.split(parameters)
-        return np.concatenate([beta, *(e.relaxed(size, slack) for e, size in zip(self.effects, sizes))])
+        return np.concatenate([beta, *(e.relaxed(size, slack) if isinstance(e, Backlash) else size
+                                       for e, size in zip(self.effects, sizes))])
 
     def _pairs(self, parameters: FloatArray) -> tuple[FloatArray, list[tuple[Effect, FloatArray]]]:
         """beta (p,), and the effects with their sizes."""
@@ -162,7 +163,8 @@ class LatentProblem(MeasuredRuns):
         """Parameters like `split`, for a simulation that has no record of the motor's motion."""
         beta, sizes = self.split(parameters)
         for effect, size in zip(self.effects, sizes):
-            beta = effect.simulated(beta, size, self.mechanism)
+            if isinstance(effect, GearEffect):
+                beta = effect.simulated(beta, size, self.mechanism)
         return beta, sizes
 
     def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
@@ -173,8 +175,9 @@ class LatentProblem(MeasuredRuns):
         beta, pairs = self._pairs(parameters)
         view = self._free(x, beta)[0]
         for effect, size in pairs:
-            for j, drive_loss in effect.drive_loss(view, size).items():
-                out[:, j] += drive_loss
+            if isinstance(effect, GearEffect):
+                for j, drive_loss in effect.drive_loss(view, size).items():
+                    out[:, j] += drive_loss
         return out
 
     def torque_readings(self, x: Latents, parameters: FloatArray) -> FloatArray:
@@ -276,7 +279,7 @@ class LatentProblem(MeasuredRuns):
         out = np.zeros(self.mechanism.p)
         most = np.full(self.n, self.total) if predicted is None else predicted
         for j in self.mechanism.passive:
-            a = self.inertia_rows[:, j]
+            a = self.mechanism.inertia_rows[:, j]
             m = float(a @ beta)
             if m > 0.0:
                 out += min(misfit[j], most[j]) / m * a

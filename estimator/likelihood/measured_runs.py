@@ -126,12 +126,6 @@ class MeasuredRuns:
         return self.total * float(np.sum(np.log(levels)))
 
     @cached_property
-    def inertia_rows(self) -> FloatArray:
-        """(p, n) diagonal of the inertia matrix, all joints straight, by parameter."""
-        one, straight = np.eye(self.mechanism.p), np.zeros((1, self.n))
-        return np.array([np.diag(self.mechanism.inertia_matrix(straight, b)[0]) for b in one])
-
-    @cached_property
     def shown(self) -> Noise:
         """Noise levels that differences between neighbouring samples show; inf for what is not measured."""
         encoder = [encoder_level(self.angles[:, j]) if self.has_encoder[j] else np.inf for j in range(self.n)]

@@ -38,7 +38,7 @@ def find_stiction(problem: LatentProblem, v: FloatArray, beta: FloatArray, one_p
         out[:, 0, j] += held_variance(v[:, j], level, scale)
         if one_per_crossing:
             out[:, 0, j] *= crossing_samples(v[:, j], scale, problem.ends)
-        inertia = float(problem.inertia_rows[:, j] @ beta[: m.p])
+        inertia = float(m.inertia_rows[:, j] @ beta[: m.p])
         slow = REST_SPREAD * problem.sharpest[j]
         slow += KINK * abs(level) * problem.dt / inertia if inertia > 0.0 else 0.0
         before, later = v[problem.left, j], v[problem.left + 1, j]

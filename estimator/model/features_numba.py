@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.numerics import Kernel, at
+from estimator.numerics import at, compile_kernel
 
 STRIP = 64
 """Intervals whose ends are gathered at a time."""
@@ -27,7 +28,7 @@ def interval_features(q: FloatArray, v: FloatArray, left: NDArray[np.int64], bas
 
 
 @cache
-def _sums() -> Kernel:
+def _sums() -> Callable[..., None]:
     def run(q: Any, v: Any, left: Any, basis: Any, out: Any, ends: Any) -> None:
         for j in range(out.shape[1]):
             for start in range(0, left.size, STRIP):
@@ -43,4 +44,4 @@ def _sums() -> Kernel:
                             out[f, j, g, at(start + w)] = (a * ends[0, w] + b * ends[1, w] + c * ends[2, w]
                                                            + d * ends[3, w])
 
-    return Kernel(run, "f2 f2 i1 f3 f4 f2")
+    return compile_kernel(run, "f2 f2 i1 f3 f4 f2")

@@ -161,6 +161,12 @@ class Mechanism:
             raise KeyError(name) from None
 
     @cached_property
+    def inertia_rows(self) -> FloatArray:
+        """(p, n) diagonal of the inertia matrix, all joints straight, by parameter."""
+        straight = np.zeros((1, self.n))
+        return np.array([np.diag(self.inertia_matrix(straight, b)[0]) for b in np.eye(self.p)])
+
+    @cached_property
     def world(self) -> World:
         """Constants that terms depend on in addition to the motion."""
         return World(self.gravity, self.velocity_scales)

@@ -6,6 +6,7 @@ arrays over all points are read and written anew by every operation. A test hold
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -14,12 +15,10 @@ import numpy as np
 from daq import FloatArray
 from estimator.model.mechanism import Mechanism
 from estimator.model.terms import CODES
-from estimator.numerics import Kernel, at
+from estimator.numerics import at, compile_kernel
 
 STRIP = 64
 """Points of a strip."""
-INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = (
-    CODES[name] for name in ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset"))
 
 
 class FastTerms:
@@ -84,7 +83,7 @@ def invert(slopes: FloatArray) -> FloatArray:
 
 
 @cache
-def _cosine_sine() -> Kernel:
+def _cosine_sine() -> Callable[..., None]:
     """Both of many angles, as far as a million radians, to the last digit or the one before.
 
     The reduction to an eighth of a turn in three steps and the polynomials are those of fdlibm (e_rem_pio2.c,
@@ -111,12 +110,14 @@ def _cosine_sine() -> Kernel:
             cosine[i] = -a if (quarter == 1.0) | (quarter == 2.0) else a
             sine[i] = -b if quarter >= 2.0 else b
 
-    return Kernel(run, "f1 f1 f1", exact=True)
+    return compile_kernel(run, "f1 f1 f1", exact=True)
 
 
 @cache
-def _terms(n: int) -> Kernel:
+def _terms(n: int) -> Callable[..., None]:
     """The kernel for n joints. Features count as in `terms`: angle, rate, acceleration, rate from, rate to."""
+    INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = (  # of another file, so they belong to the cache's key
+        CODES[name] for name in ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset"))
 
     def run(cosine: Any, sine: Any, rate: Any, accel: Any, rate_from: Any, rate_to: Any, beta: Any, table: Any,
             transform: Any, gravity: float, eps2: Any, z: Any, own: Any, line: Any, link: Any, half: Any,
@@ -219,11 +220,11 @@ def _terms(n: int) -> Kernel:
                                     for w in range(size):
                                         own[i, g, f, j, at(start + w)] += t * half[h, f, j, w]
 
-    return Kernel(run, "f3 f3 f3 f3 f3 f3 f1 i2 f2 d f1 f4 f5 f3 f4 f4 f2")
+    return compile_kernel(run, "f3 f3 f3 f3 f3 f3 f1 i2 f2 d f1 f4 f5 f3 f4 f4 f2")
 
 
 @cache
-def _accelerations(n: int) -> Kernel:
+def _accelerations(n: int) -> Callable[..., None]:
     """The kernel that solves the equation of motion of n joints at N samples for the accelerations.
 
     From slopes (n, 5, n, N) by the features of the motion, whose third is the inertia matrix, and excess (n, N) torque
@@ -253,4 +254,4 @@ def _accelerations(n: int) -> Kernel:
                     t += a[i, j] * excess[j, w]
                 qdd[i, w] = t
 
-    return Kernel(run, "f4 f2 f2 f3 f2")
+    return compile_kernel(run, "f4 f2 f2 f3 f2")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.numerics.jit import Kernel, at
+from estimator.numerics.kernel import at, compile_kernel
 
 STRIP = 32
 """Blocks that are put in one place at a time."""
@@ -40,7 +41,7 @@ def propagate(blocks: FloatArray, right: FloatArray, left: NDArray[np.int64], x:
 
 
 @cache
-def _substitute(b: int) -> Kernel:
+def _substitute(b: int) -> Callable[..., None]:
     """The kernel for blocks of size b; work (STRIP, b, 2 b + m) is zeros."""
 
     def run(blocks: Any, right: Any, left: Any, x: Any, work: Any) -> None:
@@ -85,4 +86,4 @@ def _substitute(b: int) -> Kernel:
                             t -= work[w, c, b + j] * x[k + at(1), j, r - last]
                         x[k + at(1), c, r - last] = t / work[w, c, b + c]
 
-    return Kernel(run, "f4 f3 i1 f3 f3")
+    return compile_kernel(run, "f4 f3 i1 f3 f3")

@@ -5,6 +5,7 @@ Cost grows linearly with the number of blocks. A Python loop over them would cos
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
-from estimator.numerics.jit import Kernel, at
+from estimator.numerics.kernel import at, compile_kernel
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def eliminate(chain: BlockTridiagonal) -> Swept:
 
 
 @cache
-def _forward(b: int) -> Kernel:
+def _forward(b: int) -> Callable[..., None]:
     """Factor and forward substitution for blocks of size b, which is a constant to the compiler.
 
     `definite` becomes zero, and the rest stays as it is, where a block is not; row (b, full), done (b, edge) and
@@ -121,11 +122,11 @@ def _forward(b: int) -> Kernel:
                 for c in range(b):
                     done[i, c] = row[i, edge + c]
 
-    return Kernel(run, "f2 n n i1 f2 f2 f1")
+    return compile_kernel(run, "f2 n n i1 f2 f2 f1")
 
 
 @cache
-def _back(b: int) -> Kernel:
+def _back(b: int) -> Callable[..., None]:
     """Backward substitution of a combination of the right sides; work (2, b) is zeros."""
 
     def run(rows: Any, edge: int, weights: Any, out: Any, work: Any) -> None:
@@ -146,11 +147,11 @@ def _back(b: int) -> Kernel:
             for i in range(b):
                 out[here, i] = work[0, i]
 
-    return Kernel(run, "f3 n f1 f2 f2")
+    return compile_kernel(run, "f3 n f1 f2 f2")
 
 
 @cache
-def _inverse(b: int) -> Kernel:
+def _inverse(b: int) -> Callable[..., None]:
     """P[k, k+1] = -(V S) P[k+1, k+1], P[k, k] = V V^T - P[k, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1].
 
     `upper` (N, b, b), or (0, b, b) where it is not wanted, gets P[k, k+1]; work (6, b, wide) is zeros.
@@ -195,4 +196,4 @@ def _inverse(b: int) -> Kernel:
                 for j in range(b):
                     out[here, i, j] = p[i, j]
 
-    return Kernel(run, "f3 n n f3 f3 f3")
+    return compile_kernel(run, "f3 n n f3 f3 f3")

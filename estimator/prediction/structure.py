@@ -6,6 +6,7 @@ regression on splines predicts each run from the others (leave-one-run-out cross
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from itertools import combinations
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.numerics import Kernel
+from estimator.numerics import compile_kernel
 
 KNOTS, PAIR_KNOTS = 10, 5
 """Knots of the splines of one variable, and of each variable of a pair."""
@@ -69,8 +70,8 @@ def _stopped(angles: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
 
 
 @cache
-def _stop() -> Kernel:
-    """Kernel that makes of steps (N, c), in place, their sum within -width and width (c,)."""
+def _stop() -> Callable[..., None]:
+    """The kernel that makes of steps (N, c), in place, their sum within -width and width (c,)."""
 
     def run(steps: Any, width: Any) -> None:
         for c in range(width.size):
@@ -79,7 +80,7 @@ def _stop() -> Kernel:
                 now = min(max(now + steps[k, c], -width[c]), width[c])
                 steps[k, c] = now
 
-    return Kernel(run, "f2 f1", exact=True)
+    return compile_kernel(run, "f2 f1", exact=True)
 
 
 def predict_runs(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:

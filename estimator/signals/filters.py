@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.numerics import Kernel
+from estimator.numerics import compile_kernel
 
 
 @cache
@@ -30,8 +31,8 @@ def _sections(order: int, share: float) -> FloatArray:
 
 
 @cache
-def _pass() -> Kernel:
-    """Kernel that filters rows y (c, n) by sections (s, 5) in place, from rest."""
+def _pass() -> Callable[..., None]:
+    """The kernel that filters rows y (c, n) by sections (s, 5) in place, from rest."""
 
     def run(y: Any, sections: Any) -> None:
         for i in range(y.shape[0]):
@@ -45,7 +46,7 @@ def _pass() -> Kernel:
                     second = b2 * x - a2 * out
                     y[i, k] = out
 
-    return Kernel(run, "f2 f2", exact=True)
+    return compile_kernel(run, "f2 f2", exact=True)
 
 
 def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int = 4) -> FloatArray:

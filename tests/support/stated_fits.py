@@ -1,66 +1,107 @@
-"""Fits whose likelihoods are stated, for tests of what a search makes of them."""
+"""Fits whose likelihoods are stated, for tests of what a search and a verdict make of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.diagnosis.context import Explanation
-from estimator.score import NO_TESTS
+from daq import FloatArray
+from estimator.diagnosis.context import DiagnosisContext
+from estimator.diagnosis.explanation import Explanation
+from estimator.likelihood import Candidate
+from estimator.score import NO_TESTS, ScoreTests, columns_of
+
+TOTAL = 12_000
+"""Samples: an effect that gains less than 120 is not looked at."""
+SIGNIFICANT, AT_LIMIT = 9.0, np.inf
+"""Sizes, in standard deviations."""
+NOTHING_LEFT = replace(NO_TESTS, inflation=np.ones(1))
 
 
 @dataclass(frozen=True)
 class Named:
-    key: str
+    """As much of an effect of one size as is looked at."""
+
+    name: str
+    joint: int | None = None
     strict: bool = True
     equivalence_class: str = ""
-    joint: int | None = None
+    distinguishing_size: int | None = None
     starts: tuple[tuple[float, ...], ...] = ()
-
-    def at_limits(self, size: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return size > 0.0
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """As much of a model as a search looks at."""
-
-    effects: tuple[Named, ...]
-    deviance: float
-    at_limit: bool = False
-
-    def sizes(self) -> list[Any]:
-        return [np.array([float(self.at_limit)]) for _ in self.effects]
-
-
-@dataclass
-class Context:
-    """As much of a context: `gains` of each candidate, as the scores of any model foresee it."""
-
-    gains: dict[str, float] = field(default_factory=dict)
-    starts: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
-    deviance: float = 0.0
-    short_errors: Any = None
-    nominal: Fitted = field(default_factory=lambda: Fitted((), 0.0))
-    split: Any = field(default_factory=lambda: SimpleNamespace(confirm=(1, 6), workers=1))
-    held: dict[Any, Any] = field(default_factory=dict)
-    whole: dict[Any, Any] = field(default_factory=dict)
+    sizes: tuple[None, ...] = (None,)
+    shapes: tuple[()] = ()
+    defining: int = 1
+    positive: int = 0
+    count: int = 1
 
     @property
-    def candidates(self) -> list[Any]:
-        return [SimpleNamespace(effect=Named(key, starts=self.starts.get(key, ()))) for key in self.gains]
+    def key(self) -> str:
+        return self.name
 
-    def gain(self, tests: object, i: int) -> float:
-        return list(self.gains.values())[i]
+    def at_limits(self, size: FloatArray) -> FloatArray:
+        return np.isinf(size)
+
+    def open_size(self, bound_s: float) -> float:
+        return 0.0
 
 
-def fitted(gain: float, *effects: str) -> Any:
-    return Fitted(tuple(map(Named, effects)), -gain)
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """As much of a model as is looked at, with its stated `deviance`; the size of each effect in its deviations."""
+
+    effects: tuple[Named, ...]
+    deviance: float = 0.0
+    size: float = SIGNIFICANT
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        return self.effects
+
+    @property
+    def split(self) -> Any:
+        return SimpleNamespace(clock_bound_s=0.0, workers=1)
+
+    @property
+    def state(self) -> Any:
+        return SimpleNamespace(x=None, beta=None, noise=None)
+
+    @property
+    def problem(self) -> Any:
+        return SimpleNamespace(motion_equations=lambda *_: SimpleNamespace(objective=self.deviance),
+                               log_volume=lambda _: 0.0, total=TOTAL)
+
+    def sizes(self) -> list[FloatArray]:
+        return [np.array([self.size]) for _ in self.effects]
+
+    def places(self) -> list[slice]:
+        return [slice(k, k + 1) for k in range(len(self.effects))]
+
+    def std(self) -> FloatArray:
+        return np.ones(len(self.effects))
 
 
-def explained(gain: float, *effects: str) -> Explanation:
-    return Explanation(fitted(gain, *effects), gain, replace(NO_TESTS, inflation=np.ones(1)))
+def fitted(gain: float, *effects: str | Named, size: float = SIGNIFICANT) -> Any:
+    """A model that is likelier by `gain` than the nominal one."""
+    return Fitted(tuple(Named(e) if isinstance(e, str) else e for e in effects), -gain, size)
+
+
+def explained(gain: float, *effects: str | Named, size: float = SIGNIFICANT, further: Sequence[float] = (),
+              error: float = 1.0, has_residual: bool = False) -> Explanation:
+    """An assessed explanation whose gain all of six runs share alike."""
+    count = len(effects)
+    return Explanation(fitted(gain, *effects, size=size), gain, NOTHING_LEFT, has_residual, np.full(6, -gain / 6.0),
+                       error, np.ones(count), np.ones(count, dtype=bool), np.array(further, dtype=float))
+
+
+def foreseen(gains: Mapping[Named, float]) -> tuple[DiagnosisContext, ScoreTests]:
+    """A context with these effects for candidates, and scores that foresee these gains of each, alone."""
+    candidates = [Candidate(cast(Any, effect)) for effect in gains]
+    count = len(candidates)
+    score = np.sqrt(np.array(list(gains.values())))
+    tests = ScoreTests(score[None], score, np.eye(count), np.ones(count), 13.0, np.ones(count), np.zeros((0, count)))
+    return DiagnosisContext(candidates, columns_of(candidates), count, [], fitted(0.0),
+                            np.random.default_rng(0)), tests

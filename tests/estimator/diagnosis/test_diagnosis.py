@@ -7,22 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.diagnosis.conclusion import base
-from estimator.diagnosis.refit import fit_nominal
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from daq.dataset import Dataset
-from estimator.diagnosis import conclusion, refit
+from estimator.diagnosis import model as models
+from estimator.diagnosis.account import base
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.error_table import extend_errors, measure_errors
+from estimator.diagnosis.model import fit_nominal
 from estimator.diagnosis.procedure import diagnose
-from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
+from estimator.diagnosis.result import Diagnosis
 from estimator.effects import classes, library
-from estimator.effects.drive import TorqueOffset
-from estimator.effects.friction import LoadDependentFriction
-from estimator.effects.sensors import EncoderScale
+from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.likelihood import Candidate, LatentProblem, Stage
@@ -31,7 +28,6 @@ from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
-from estimator.prediction.replicate import draw_replicate
 from estimator.score import Score, own_inflation, project
 from estimator.signals.segments import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
@@ -142,7 +138,7 @@ def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> 
     fits = []
     for order in ([0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0]):
         split = split_runs([data[k] for k in order], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
-        parts = [[split.names[i] for i in part] for part in (split.fit, split.screen, split.confirm)]
+        parts = [[split.names[i] for i in part] for part in (split.train, split.test)]
         fits.append((parts, fit_nominal(split).state.beta.tolist()))
     assert fits[0] == fits[1] == fits[2]
     assert sorted(name for part in fits[0][0] for name in part) == [run.name for run in data]
@@ -226,74 +222,7 @@ def test_a_nominal_fit_that_does_not_converge_has_no_intervals(runs: tuple[Leg, 
             raise FitError("does not settle")
         return iterate(problem, state, free, *rest)
 
-    monkeypatch.setattr(refit, "iterate", stuck)
+    monkeypatch.setattr(models, "iterate", stuck)
     nominal = fit_nominal(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
     assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)
-
-
-def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
-    leg, data = runs
-    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
-    nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
-    scores = refit.score_discover(nominal, candidates)
-    count = len(split.discover)
-
-    def going_off(problem: LatentProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
-        found = draw_replicate(problem, state, signals, *rest)
-        off = signals[0].run in bad
-        return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
-                for s in found]
-
-    monkeypatch.setattr(refit, "draw_replicate", going_off)
-    monkeypatch.setattr(refit, "REPLICATED_SAMPLES", 0)
-    names = [split.runs[i][0].run for i in split.discover]
-    bad: list[str] = []
-    means = []
-    for which in ([], names[:1]):
-        bad[:] = which
-        rng = np.random.default_rng(3)
-        means.append(refit.bootstrap_scores(nominal, candidates, scores, rng))
-    for k in range(1, count):
-        assert means[1][k] == pytest.approx(means[0][k], rel=1e-5)
-    others = [(mean, np.diag(s.information)) for mean, s in zip(means[0][1:], scores[1:])]
-    assert means[1][0] == pytest.approx(refit.pooled_bias(others, scores[0]), rel=1e-5)
-    bad[:] = names
-    with pytest.raises(FitError, match="replicate"):
-        refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[Leg, list[Dataset]],
-                                                                    workers: int) -> None:
-    """Where a joint rests is found once, with the nominal model: the same model, measured again, is as likely as
-    before."""
-    leg, data = runs
-    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(), workers=workers)
-    split = replace(split, confirm=split.confirm + split.screen, screen=())
-    nominal = fit_nominal(split)
-    table = measure_errors([nominal], nominal, np.arange(len(split.confirm)))
-    assert len(split.confirm) > 1 and set(split.confirm) <= set(nominal.split.stiction)
-    again = extend_errors(table, [nominal])
-    assert again.agreement[1] == pytest.approx(0.0, abs=1e-3)
-    assert again.error(1) == pytest.approx(again.error(0), rel=1e-4)  # a motion settles to a tenth of its objective
-
-
-def test_a_size_that_a_minor_cause_moves_out_of_its_interval_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A spring of 0.35 N m/rad with a torque 6 ms late: 0.394 [0.387, 0.401] without the delay, 0.370 with it."""
-    def cause(effect: str, joint: int | None, name: str, value: float, half: float) -> Cause:
-        size = SizeEstimate(name, "1", value, (value - half, value + half))
-        return Cause(effect, joint, "", (size,), 1e-12, 9.0, ())
-
-    stated = {"best": [cause("joint_stiffness", 2, "stiffness", 0.394, 0.007)]}
-    monkeypatch.setattr(conclusion, "causes_of", lambda of, *_: stated[of])
-    best: Any = "best"
-    for value, moved in ((0.370, True), (0.395, False)):
-        stated["more"] = [cause("joint_stiffness", 2, "stiffness", value, 0.005),
-                          cause("torque_delay", None, "delay", 0.005, 3e-4)]
-        more: Any = "more"
-        found = conclusion.with_minor(Diagnosis("named", "", warnings=("first",)), best, more, 1e-9)
-        assert [c.effect for c in found.immaterial] == ["torque_delay"] and found.warnings[0] == "first"
-        assert [w for w in found.warnings if "stiffness of joint stiffness at joint 2 is 0.37 with torque delay" in w
-                ] == list(found.warnings[1:]) and len(found.warnings) == 1 + moved

@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.diagnosis import procedure
-from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.noise_check import in_words, noise_ratios, noisy_sensors
-from estimator.errors import FitError
 from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
 from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, encoder_of
@@ -56,26 +53,3 @@ def test_a_sensor_that_is_noisier_than_its_neighbouring_samples_is_listed(declar
     (encoder,) = noisy_sensors(model_of(declared, encoder=0.015)).items()
     (gyro,) = noisy_sensors(model_of(declared, gyro=0.02)).items()
     assert "encoder of joint 2 is 75.0 times" in in_words(*encoder) and "gyro is 4.0 times" in in_words(*gyro)
-
-
-@pytest.mark.parametrize(("levels", "fitted", "usual", "hides"), [
-    (DECLARED, 1.0, 3.0, True), (DECLARED, 3.0, 1.0, True), (DECLARED, 1.0, 1.05, False),
-    ({}, 1.0, 984.0, False),  # a public pendulum's encoder has 3.9 times what its neighbouring samples show, rightly
-    ({}, 3.0, 1.0, True)])
-def test_a_noisy_sensor_hides_motion_by_what_its_usual_noise_predicts(
-        levels: dict[str, float], fitted: float, usual: float, hides: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Errors of free runs with the noise as fitted and with that which is usual for the sensor."""
-    errors = np.array([fitted, usual])
-    table = SimpleNamespace(draws=lambda rng: None, lowers=lambda model, than, by, draws, of: float(
-        errors[than] - errors[model] > by * errors[of]))
-    model = model_of(levels, encoder=0.002)
-    model.split.confirm = (0, 1)
-    monkeypatch.setattr(procedure, "with_declared_noise", lambda _: object())
-    monkeypatch.setattr(procedure, "measure_errors", lambda *_: table)
-    assert bool(procedure.hidden_motion(model, MATERIAL, np.random.default_rng(0))) is hides
-
-    def diverges(*_: Any) -> None:
-        raise FitError("it diverges")
-
-    monkeypatch.setattr(procedure, "measure_errors", diverges)
-    assert bool(procedure.hidden_motion(model, MATERIAL, np.random.default_rng(0))) is bool(levels)

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import base, nothing, with_noise
+from estimator.diagnosis.account import base, nothing, with_noise
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.decision_rule import EDGE
-from estimator.diagnosis.error_table import measure_errors, with_floor
-from estimator.diagnosis.noise_check import noisy_sensors, with_declared_noise
+from estimator.diagnosis.decision_rule import EDGE, WHOLE_RUNS
+from estimator.diagnosis.error_table import NOMINAL, floor_of, measure, sensors_of
+from estimator.diagnosis.family import _Rows, hidden_motion
+from estimator.diagnosis.model import Model, fit_nominal, smooth
+from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.noise_floor import noise_floor
-from estimator.diagnosis.refit import Model, fit_nominal
 from estimator.likelihood import Noise, Process
 from estimator.model import leg2
 from estimator.options import FitOptions
-from estimator.prediction import FloorNoise
+from estimator.prediction import FloorNoise, channel_names, floor_errors, white_noise
 from tests.support.mujoco_leg import Leg, multisine, record
 from tests.support.ornstein_uhlenbeck import disturbed_record
 
@@ -34,10 +35,8 @@ def nominal(wanders: bool, options: FitOptions | None = None) -> Model:
     return fit_nominal(split_runs(runs, leg2(lever_arm=leg.lever), options or FitOptions()))
 
 
-def error(model: Model, floor: FloorNoise | None) -> float:
-    seeds = np.arange(len(model.split.confirm))
-    table = measure_errors([model], model, seeds)
-    return (table if floor is None else with_floor(table, floor, seeds)).error(0)
+def error(model: Model, floor: FloorNoise) -> float:
+    return measure([model], NOMINAL, floor, np.random.default_rng(0), [NOMINAL]).error(NOMINAL)
 
 
 def test_a_disturbance_is_noise() -> None:
@@ -45,7 +44,7 @@ def test_a_disturbance_is_noise() -> None:
     floor = noise_floor(model)
     assert floor.noise.disturbance[1] == pytest.approx(0.03, rel=0.35)
     assert 0.08 < floor.noise.time_constant[1] < 0.5 and floor.repeated[1] < 0.2
-    assert error(model, None) > 1.5 and error(model, floor) < 1.4
+    assert error(model, white_noise(model.state.noise)) > 1.5 and error(model, floor) < 1.4
     told = nothing(with_noise(base(model, {}, None), model, floor)).sentence
     assert f"Noise includes an unmeasured torque of {floor.noise.disturbance[1]:.2g} N m (rms) at joint 2" in told
     quiet = floor._replace(noise=replace(floor.noise, disturbance=np.zeros(2)))
@@ -57,6 +56,23 @@ def test_a_law_that_the_model_lacks_is_not() -> None:
     floor = noise_floor(model)
     assert floor.repeated[0] > 0.6
     assert error(model, floor) > EDGE
+    is_a_mean_of_replicates_over_whole_runs(model, floor)
+
+
+def is_a_mean_of_replicates_over_whole_runs(model: Model, floor: FloorNoise) -> None:
+    """A leg that sticks left 1.0 to 8.5 floors by the one replicate that was drawn."""
+    run, horizons, rng = model.split.test[0], (0.1, np.inf), np.random.default_rng(5)
+    fitted = smooth(model, run)
+    found = floor_of(model, run, fitted, 5, horizons, floor, 2)[:, sensors_of(model).index("q2_rad")]
+
+    def drawn(over: tuple[float, ...]) -> FloatArray:
+        errors = floor_errors(fitted, rng, over, lambda signals: model.split.problem(
+            [run], model.problem.stage.angle_range, signals=signals), floor)
+        return errors[:, channel_names(fitted.problem).index("q2_rad")] ** 2
+
+    first = drawn(horizons)
+    whole = np.mean([first[1], *(drawn((np.inf,))[0] for _ in range(WHOLE_RUNS // 2 - 1))], axis=0)
+    assert found[0] == pytest.approx(first[0]) and found[1] == pytest.approx(whole)
 
 
 def test_a_process_has_its_level_and_time_constant() -> None:
@@ -69,5 +85,7 @@ def test_a_process_has_its_level_and_time_constant() -> None:
 def test_a_sensor_is_held_at_the_noise_that_it_is_known_to_have() -> None:
     model = nominal(True, FitOptions(noise={"gyro_radps": 0.002}))
     (gyro,) = noisy_sensors(model)
-    again = with_declared_noise(model)
-    assert gyro.kind == "gyro" and again.state.noise.gyro[0] == pytest.approx(0.002, rel=1e-6)
+    rows = _Rows(model)
+    hidden = hidden_motion(rows, NOMINAL)
+    assert hidden is not None and hidden.declared == 1 and hidden.stated and "gyro" in hidden.text
+    assert gyro.kind == "gyro" and rows.models[1].state.noise.gyro[0] == pytest.approx(0.002, rel=1e-6)

@@ -15,7 +15,7 @@ from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure import with_structure
-from estimator.effects.structure import JointStiffness
+from estimator.effects.joint_stiffness import JointStiffness
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions

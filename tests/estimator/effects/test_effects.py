@@ -11,8 +11,8 @@ import pytest
 from daq import FloatArray
 from estimator import FitError
 from estimator.effects import Perturbation, library
+from estimator.effects.end_stop_contact import EndStopContact
 from estimator.effects.generic_terms import READINGS
-from estimator.effects.structure import EndStopContact
 from estimator.model import ImuPlace, chain, leg2, smooth_sign
 
 

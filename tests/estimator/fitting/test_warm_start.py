@@ -53,13 +53,17 @@ def test_short_records_and_short_segments_have_none() -> None:
     assert [number for number, _ in excerpt(*prepared(both))] == [0]
 
 
+def without_excerpt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+
+
 def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(911)
     leg = random_leg(rng)
     runs = [record(leg, rng, seconds=15, name=f"run{i}") for i in range(2)]
     mechanism = leg2(lever_arm=leg.lever)
     found = fit(runs, mechanism, OPTIONS)
-    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+    without_excerpt(monkeypatch)
     whole = fit(runs, mechanism, OPTIONS)
     assert found.converged and whole.converged
     assert found.iterations < whole.iterations
@@ -71,5 +75,5 @@ def test_an_excerpt_that_does_not_converge_is_left_alone(monkeypatch: pytest.Mon
     run = record(LEG, np.random.default_rng(5), seconds=15)
     monkeypatch.setattr(warm_start, "STEPS", 1)
     found = fit([run], MECHANISM, OPTIONS)
-    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+    without_excerpt(monkeypatch)
     np.testing.assert_array_equal(found.beta, fit([run], MECHANISM, OPTIONS).beta)

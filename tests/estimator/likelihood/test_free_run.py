@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.diagnosis.refit import fit_nominal, refit
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from estimator.diagnosis.data_split import split_runs
-from estimator.effects import classes
+from estimator.diagnosis.model import fit_nominal, refit
+from estimator.effects.backlash import Backlash
 from estimator.effects.base import Effect
-from estimator.effects.derivatives import Laws
-from estimator.effects.drive import TorqueSaturation
-from estimator.effects.friction import PreslidingFriction, StribeckFriction
-from estimator.effects.sensors import EncoderOffset
-from estimator.effects.stand import BaseCompliance
-from estimator.effects.structure import Backlash, RotorInertia
+from estimator.effects.base_compliance import BaseCompliance
+from estimator.effects.encoder_offset import EncoderOffset
+from estimator.effects.presliding_friction import PreslidingFriction
+from estimator.effects.rotor_inertia import RotorInertia
+from estimator.effects.stribeck_friction import StribeckFriction
+from estimator.effects.torque_saturation import TorqueSaturation
 from estimator.likelihood import LatentProblem, Stage
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.free_run import _Plant, free_run, pieces
@@ -27,7 +27,6 @@ from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.likelihood.stiction import find_stiction
-from estimator.model import Motion
 from estimator.model.mechanism import Mechanism, joint1, leg2
 from estimator.options import FitOptions
 from estimator.signals import SignalSet, torque_of
@@ -42,40 +41,6 @@ def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: li
     imu = {c: np.zeros(count) for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")} if mechanism.n > 1 else {}
     signals = SignalSet("r", 100.0, grid, np.zeros((count, mechanism.n)), torque, imu)
     return LatentProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
-
-
-@pytest.mark.parametrize("kind", [c for c in classes() if c(1).instant], ids=lambda c: c.name)
-def test_slopes_are_those_of_the_law(kind: type[Effect]) -> None:
-    rng = np.random.default_rng(5)
-    effect, count = kind(1), 40
-    size = np.array([10.0 * s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes])
-    problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
-    x = Latents(*(rng.normal(size=(count, 2)) for _ in range(3)))
-    laws = Laws([(effect, size)], problem.view(x, np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])), 3)
-    motion, where = problem.collocation.motion(x.q, x.v, problem.left[3:23]), slice(0, 20)
-    z = rng.uniform(-1.0, 1.0, size=(21, int(effect.has_state)))
-    slopes = laws.slopes(motion, where, z)
-    for feature, name in enumerate(Motion._fields):
-        for joint in range(2):
-            def moved(by: float, name: str = name, joint: int = joint) -> Motion:
-                values = getattr(motion, name).copy()
-                values[joint] += by
-                return motion._replace(**{name: values})
-            found = (laws.torque(moved(1e-6), where, z) - laws.torque(moved(-1e-6), where, z)) / 2e-6
-            assert slopes[:, feature, joint] == pytest.approx(found, rel=2e-3, abs=1e-4 * np.abs(slopes).max())
-    if effect.has_state:  # by the states: along the ends of the intervals, as Newton's method moves them
-        by_states = laws.by_states(motion, where, z)[:, :, 0]
-        assert by_states[1] == pytest.approx(laws.torque(motion, where, z + 0.5)[1] * 2.0
-                                             - laws.torque(motion, where, z - 0.5)[1] * 2.0 - by_states[1])
-        v, by_ends = x.v[3:24], laws.gap_slopes(x.v[3:24], z)
-        for end, column in np.ndindex(2, 3):
-            def gap(by: float, end: int = end, column: int = column) -> FloatArray:
-                """Along every other interval, whose ends no other shares."""
-                rates, states = v.copy(), z.copy()
-                (rates if column < 2 else states)[end::2, column % 2] += by
-                return laws.gaps(rates, states)[0, ::2]
-            found = (gap(1e-6) - gap(-1e-6)) / 2e-6
-            assert by_ends[0, end, column, ::2] == pytest.approx(found, rel=1e-3, abs=1e-6)
 
 
 def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:

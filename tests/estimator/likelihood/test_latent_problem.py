@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.fitting import iterate, stopping
+from estimator.fitting import stopping
 from estimator.fitting.fit import fit
+from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import start_state
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import latent_problem
@@ -28,6 +29,21 @@ OPTIONS = FitOptions(sensors="imu")
 def squares_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum of squares without the density's other term, which enters the gradient only."""
     monkeypatch.setattr(LatentProblem, "_inertia_gradient", lambda _, beta, *__: np.zeros(beta.size))
+
+
+def in_pieces_of(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latent_problem, "PIECE", samples)
+
+
+def by_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Normal equations without compiled code."""
+    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
+
+
+def stricter(tolerance: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits end where a step changes less than this."""
+    for name in ("TOLERANCE", "LOOSE"):
+        monkeypatch.setattr(stopping, name, tolerance)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +87,7 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
                                monkeypatch: pytest.MonkeyPatch) -> None:
     problem, x, beta, noise = broken
     whole = problem.linearise(x, beta, noise)
-    monkeypatch.setattr(latent_problem, "PIECE", piece)
+    in_pieces_of(piece, monkeypatch)
     parts = problem.linearise(x, beta, noise)
     assert parts.objective == pytest.approx(whole.objective, rel=1e-12)
     for name, a in normal(whole).items():
@@ -83,10 +99,10 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
 def test_compiled_normal_equations_are_those_by_arrays(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
                                                       piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, x, beta, noise = broken
-    monkeypatch.setattr(latent_problem, "PIECE", piece)
+    in_pieces_of(piece, monkeypatch)
     beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
     fast = problem.linearise(x, beta, noise)
-    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
+    by_arrays(monkeypatch)
     plain = problem.linearise(x, beta, noise)
     assert fast.objective == pytest.approx(plain.objective, rel=1e-11)
     for name, a in normal(plain).items():
@@ -105,8 +121,7 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
     run = record(leg, np.random.default_rng(22), seconds=4)
     posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
-    monkeypatch.setattr(stopping, "TOLERANCE", 1e-6)
-    monkeypatch.setattr(stopping, "LOOSE", 1e-6)
+    stricter(1e-6, monkeypatch)
     state = iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
     assert state.converged
     point = posed.problem.linearise(state.x, state.beta, state.noise)
@@ -121,8 +136,7 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     leg = random_leg(rng)
     run, mechanism = record(leg, rng, seconds=60, counts=2048), leg2(lever_arm=leg.lever)
     found = fit([run], mechanism, OPTIONS)
-    monkeypatch.setattr(stopping, "TOLERANCE", 0.002)
-    monkeypatch.setattr(stopping, "LOOSE", 0.002)
+    stricter(0.002, monkeypatch)
     strict = fit([run], mechanism, OPTIONS)
     assert found.converged and strict.converged
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
@@ -133,7 +147,7 @@ def test_a_fit_by_arrays_ends_at_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
     options = FitOptions(sensors="imu", fixed={"beta9": 0.05})
     fast = fit([run], mechanism, options)
-    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
+    by_arrays(monkeypatch)
     plain = fit([run], mechanism, options)
     assert fast.iterations == plain.iterations
     np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)

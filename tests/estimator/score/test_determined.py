@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
-from estimator.diagnosis import procedure
-from estimator.diagnosis.assessment import assess
-from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of
+from estimator.diagnosis.account import finding
+from estimator.diagnosis.context import DiagnosisContext, assess, scored
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.presence import admissible, undetermined
-from estimator.diagnosis.search import fit_sets, reduced
+from estimator.diagnosis.explanation import Explanation, admissible, indistinguishable_set, undetermined
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.search import exchanged, fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
-from estimator.effects.drive import TorqueOffset
-from estimator.effects.structure import JointStiffness
+from estimator.effects.joint_stiffness import JointStiffness
+from estimator.effects.torque_offset import TorqueOffset
 from estimator.likelihood import Candidate
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.prediction import white_noise
 from estimator.score import Score, determined
 from tests.support.mujoco_leg import Leg, record
 
@@ -48,7 +48,7 @@ def sprung() -> DiagnosisContext:
             for run in runs]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     candidates = [Candidate(e) for e in (SPRING, HOSE, OFFSET)]
-    return procedure.scored(split, candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
+    return scored(split, candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
 
 
 def fitted(context: DiagnosisContext, *effects: Effect) -> Explanation:
@@ -62,17 +62,31 @@ def test_an_effect_whose_only_size_another_one_replaces_is_no_answer(sprung: Dia
     assert admissible(alone) and not any(undetermined(alone))
     assert alone.model.sizes()[0][0] == pytest.approx(0.4, rel=0.05)
     assert not admissible(both) and undetermined(both) == [False, True]  # the preload replaces the offset
-    assert {keys_of(e) for e in reduced(sprung, [both])} == {keys_of(alone)}
+    assert {e.keys for e in reduced(sprung, [both])} == {alone.keys}
 
 
 def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisContext) -> None:
     both = fitted(sprung, SPRING, HOSE)
     assert undetermined(both) == [True, True] and not admissible(both)
     alone = reduced(sprung, [both])
-    assert {keys_of(e) for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
+    assert {e.keys for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
     assert all(admissible(e) for e in alone)
-    weighed = [replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone]
-    assert len(indistinguishable_set(weighed)) == 2
+    gain = alone[0].gain
+    assert alone[1].gain == pytest.approx(gain, rel=1e-3)  # a bounded number of steps finds no more digits
+    weighed = indistinguishable_set([replace(e, gain=gain, by_run=np.full(4, -gain / 4.0)) for e in alone])
+    assert len(weighed) == 2
+    nominal = sprung.nominal
+    told = finding(Diagnosis("none", ""), nominal, weighed, 0.001, sprung.rng, False, white_noise(nominal.state.noise))
+    assert told.verdict == "one_of" and {c.effect for c in told.causes} == {SPRING.name, HOSE.name}
+    assert told.sentence.startswith("One of these causes") and "To tell them apart" in told.next_experiment
+
+
+def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
+    context, tests = scored(sprung.split, sprung.candidates, sprung.named, np.random.default_rng(1), lambda *_: None,
+                            sprung.bias)
+    found = exchanged(context, tests, [fitted(context, SPRING)])
+    assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)
+    assert all(len(e.keys) == 1 for e in found)
 
 
 def test_sizes_are_determined_where_the_other_columns_leave_information() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from daq.dataset import Dataset
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.refit import Model, fit_nominal, refit, run_states
+from estimator.diagnosis.model import Model, fit_nominal, refit, run_states
 from estimator.effects import Effect, battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
@@ -50,7 +50,7 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     effects, _ = library(split.mechanism, split.has_imu)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
-    problem = split.problem([split.discover[0]], model.problem.stage.angle_range, model.effects, candidates)
+    problem = split.problem([split.train[0]], model.problem.stage.angle_range, model.effects, candidates)
     found = score_at(problem, state)
     spread = np.sqrt(np.maximum(np.diag(found.information), 1e-12))
     assert np.max(np.abs(found.score) / spread) > 1.0  # there is something to compare

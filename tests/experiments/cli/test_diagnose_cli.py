@@ -13,7 +13,7 @@ from daq.dataset import Dataset
 from daq.rig import load_rig
 from daq.runs.csv_run import write_csv
 from estimator.diagnosis.result import Diagnosis
-from estimator.effects.friction import StribeckFriction
+from estimator.effects.stribeck_friction import StribeckFriction
 from estimator.model.mechanism import leg2
 from experiments import cli
 from experiments.emulation.emulated_rig import record_emulated

@@ -70,7 +70,7 @@ def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("code, says", [
     ("import no_such_module_at_all", "no_such_module_at_all"), ("Mine = 3", "not an Effect class"),
-    ("from estimator.effects.friction import StribeckFriction as Mine", "two effects are called stribeck_friction"),
+    ("from estimator.effects import StribeckFriction as Mine", "two effects are called stribeck_friction"),
     ("from estimator.effects import TorqueEffect\nclass Mine(TorqueEffect):\n    name = 'mine'\n    plans = ('slwo',)",
      "mine asks for plans of the kind 'slwo'"),
 ])

@@ -64,10 +64,14 @@ def hardly_moves(runs: Runs, rig: Rig, change: Change, fixed: dict[str, float] |
 
 
 def moved(found: Fitted, base: Fitted) -> float:
-    """Largest change of a value as a share of its interval, open ones left out."""
-    half = np.maximum(base.result.half_width, 1e-300)
-    shares = np.abs(found.result.beta - base.result.beta) / (2.0 * half)
-    return float(np.max(np.where(np.isfinite(half), shares, 0.0)))
+    """Largest change of a value as a share of its interval, the wider of both fits; open ones left out.
+
+    That of a value at its bound begins there. A value that is given has none, and must not move at all.
+    """
+    width = np.maximum(*(np.diff(fit.result.ci95())[:, 0] for fit in (found, base)))
+    change = np.abs(found.result.beta - base.result.beta)
+    shares = np.divide(change, width, out=np.where(change > 0.0, np.inf, 0.0), where=width > 0.0)
+    return float(np.max(np.where(np.isfinite(width), shares, 0.0)))
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
-from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.presence import presence, undetermined
+from estimator.diagnosis.explanation import Explanation, indistinguishable_set, presence, undetermined
 from estimator.effects import Effect
-from estimator.effects.drive import TorqueOffset
-from estimator.effects.friction import AsymmetricFriction, QuadraticDrag
-from estimator.effects.sensors import EncoderScale
-from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
+from estimator.effects.asymmetric_friction import AsymmetricFriction
+from estimator.effects.encoder_scale import EncoderScale
+from estimator.effects.joint_elasticity import JointElasticity
+from estimator.effects.joint_stiffness import JointStiffness
+from estimator.effects.quadratic_drag import QuadraticDrag
+from estimator.effects.rotor_inertia import RotorInertia
+from estimator.effects.torque_offset import TorqueOffset
 
 TESTS = 150
 """Candidates that were tried: a size counts from four standard deviations on."""

@@ -7,28 +7,44 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
-from estimator.diagnosis import refit as fits
+from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
+from estimator.diagnosis.error_table import measure
+from estimator.diagnosis.model import (
+    Model,
+    begin_afresh,
+    bootstrap_scores,
+    converge_runs,
+    fit_nominal,
+    misfit,
+    pooled_bias,
+    refit,
+    score_train,
+    smooth,
+)
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
-from estimator.effects.drive import TorqueDelay, TorqueRipple
-from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
-from estimator.effects.structure import Backlash, JointElasticity
+from estimator.effects.backlash import Backlash
+from estimator.effects.joint_elasticity import JointElasticity
+from estimator.effects.joint_stiffness import JointStiffness
+from estimator.effects.load_dependent_friction import LoadDependentFriction
+from estimator.effects.quadratic_drag import QuadraticDrag
+from estimator.effects.torque_delay import TorqueDelay
+from estimator.effects.torque_ripple import TorqueRipple
 from estimator.errors import FitError
 from estimator.fitting import converge_motion
-from estimator.likelihood import LatentProblem, Stage
+from estimator.likelihood import Candidate, LatentProblem, Stage
 from estimator.likelihood.free_run import free_run
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
-from estimator.prediction import per_value
+from estimator.prediction import per_value, white_noise
 from estimator.signals import IMU_COLUMNS
 from estimator.signals.segments import SignalSet
 from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case
@@ -36,6 +52,7 @@ from tests.evidence.blind.effects import MOTOR_INERTIA
 from tests.evidence.blind.leg import stack
 from tests.evidence.blind.measure import RATE_HZ, disturb, read
 from tests.evidence.blind.physics import integrate
+from tests.support.driven_pendulum import mechanism, pendulum_run
 
 COUNT, RUNS = 800, 4
 PEAK_NM = 0.6
@@ -63,13 +80,11 @@ def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> 
     return out
 
 
-def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False,
-           shapes: tuple[float, ...] = ()) -> tuple[Model, Model]:
+def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False) -> tuple[Model, Model]:
     """Nominal fit, and the fit with the effect."""
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     nominal = fit_nominal(split)
     start = np.zeros(effect.count)
-    start[len(effect.sizes) :] = shapes
     if afresh:
         start[0] = 0.1
     return nominal, refit(begin_afresh(nominal) if afresh else nominal, [(effect, start)], 40)
@@ -92,7 +107,7 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     data = record(case, {"shaft": 200.0, "shaft_damping": 0.12, "motor_inertia": MOTOR_INERTIA, "gap": gap})
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     new = split.names.index(data[-1].name)  # the others hold the strongest motion, in which play is seen best
-    split = replace(split, fit=tuple(i for i in range(len(data)) if i != new), screen=(), confirm=(new,))
+    split = replace(split, train=tuple(i for i in range(len(data)) if i != new), test=(new,))
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
     nominal = fit_nominal(split)
@@ -104,19 +119,9 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     assert picture is not None and picture.y_label == "reading of encoder2"
     assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
-    fitted = smooth(model, split.confirm[0])
+    fitted = smooth(model, split.test[0])
     problem, state = fitted.problem, fitted.state
     assert per_value(problem, state) < 2.0
-
-
-def test_bristles_are_found_with_their_damping() -> None:
-    case, deflection = drawn("presliding_friction"), 0.12
-    _, model = fitted(case, record(case, {"bristle2": deflection}), PreslidingFriction(1), shapes=(0.1,))
-    ((level, damping, found),) = model.sizes()
-    stiffness = case.leg.coulomb2 / deflection  # LuGre as tests/evidence/blind/physics has it
-    assert found == pytest.approx(deflection, rel=0.25)  # eight seconds hardly reach full slip
-    assert level == pytest.approx(case.leg.coulomb2, rel=0.2)
-    assert damping == pytest.approx(0.6 * np.sqrt(stiffness * float(case.leg.beta()[1]) * 0.3), rel=0.2)
 
 
 @pytest.mark.parametrize("late_s", [0.0098, 0.004, -0.006])
@@ -144,7 +149,7 @@ def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_conv
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.008), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     nominal, delay = fit_nominal(split), [(TorqueDelay(), np.zeros(1))]
-    monkeypatch.setattr(fits, "mistaken_torques", lambda *_: [1])
+    monkeypatch.setattr(models, "mistaken_torques", lambda *_: [1])
     with pytest.raises(FitError, match="torque for noise"):
         refit(nominal, delay)
     beta = np.ravel(case.leg.beta())
@@ -168,13 +173,6 @@ def test_no_run_changes_the_motion_of_another() -> None:
     one, other = (converge_runs(model.split, problem, replace(model.state, x=replace(x, v=v))) for v in (far, near))
     assert np.array_equal(one.x.q[begin:], other.x.q[begin:])
     assert misfit(replace(model, state=other)) == pytest.approx(misfit(model), abs=1.0)
-
-
-def test_friction_by_load_is_found() -> None:
-    case = drawn("load_dependent_friction")
-    _, model = fitted(case, record(case, {"load2": 0.25}), LoadDependentFriction(1))
-    ((found,),) = model.sizes()
-    assert found == pytest.approx(0.25, rel=0.08)
 
 
 def test_a_fast_ripple_is_simulated_freely() -> None:
@@ -236,3 +234,35 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     off, near = (np.abs(found.q[:, 0] - truth[0]) for found in (whole, short))
     assert near[::5].max() == 0.0  # every piece of five samples starts from the motion that was given
     assert near.max() < 0.3 * off.max()
+
+
+def test_a_replicate_that_the_model_fits_worse_than_the_run_is_left_out() -> None:
+    """A run almost without noise has the bias of the others; runs of less noise than the model has leave none."""
+    runs = [pendulum_run(f"r{k}", 70 + k, noise=0.01 if k == 0 else 1.0) for k in range(4)]
+    split = replace(split_runs(runs, mechanism(), FitOptions(sensors="encoder")), test=())
+    split = replace(split, train=tuple(range(4)))
+    nominal, candidates = fit_nominal(split), [Candidate(QuadraticDrag(0)), Candidate(JointStiffness(0))]
+    scores = score_train(nominal, candidates)
+    found = bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
+    quiet = split.names.index("r0")
+    own = [(mean, np.diag(s.information)) for mean, s in zip(found, scores)]
+    for k in range(4):
+        others = pooled_bias([one for n, one in enumerate(own) if n not in (k, quiet)], scores[k])
+        assert np.allclose(found[k], others, rtol=1e-12) is (k == quiet)
+    noise = nominal.state.noise
+    loud = replace(nominal.state, noise=replace(noise, torque=9.0 * noise.torque, encoder=9.0 * noise.encoder))
+    with pytest.raises(FitError, match="replicate"):
+        bootstrap_scores(replace(nominal, state=loud), candidates, scores, np.random.default_rng(3))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_model_that_is_measured_twice_is_as_likely_twice(workers: int) -> None:
+    """Where a joint rests is found once, with the nominal model: all explanations have the same weights."""
+    split = split_runs([pendulum_run(f"r{k}", 70 + k) for k in range(8)], mechanism(), FitOptions(sensors="encoder"),
+                       workers=workers)
+    nominal = fit_nominal(split)
+    assert len(split.test) == 2 and set(split.test) <= set(nominal.split.stiction)
+    table = measure([nominal, nominal], 0, white_noise(nominal.state.noise), np.random.default_rng(0), [0])
+    assert table.agreement.tolist() == [[0.0, 0.0]] * 2 and table.error(1) == table.error(0) < 1.5
+    again = measure([replace(nominal)], 0, white_noise(nominal.state.noise), np.random.default_rng(0), [0])
+    assert again.error(0) == pytest.approx(table.error(0), rel=1e-9)

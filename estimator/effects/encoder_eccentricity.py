@@ -1,0 +1,23 @@
+"""`EncoderEccentricity`: an encoder disc off centre."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects.base import Size
+from estimator.effects.sensor_effects import EncoderEffect
+
+
+class EncoderEccentricity(EncoderEffect):
+    """reading = q + a sin q + b (cos q - 1): once a turn of the measured angle."""
+
+    name = "encoder_eccentricity"
+    sizes = (Size("sine_amplitude", "rad", 0.005), Size("cosine_amplitude", "rad", 0.005))
+    sentence = "the encoder's disc is off centre: an error once a turn"
+    reference = "eccentricity of a graduated disc: first harmonic of the angle measured"
+    experiment = "a full slow turn"
+    plans = ("steady", "ramps")
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return size[0] * np.sin(q) + size[1] * np.cos(q)

@@ -1,0 +1,23 @@
+"""`EncoderOffset`: a wrong zero of an encoder."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects.base import Size
+from estimator.effects.sensor_effects import EncoderEffect
+
+
+class EncoderOffset(EncoderEffect):
+    """reading = q + o."""
+
+    name = "encoder_offset"
+    sizes = (Size("offset", "rad", 0.005),)
+    sentence = "the encoder's zero is wrong"
+    reference = "docs/formats.md: q2 = 0 is straight"
+    experiment = "rest hanging straight"
+    plans = ("rest",)
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return np.full_like(q, size[0])

@@ -1,0 +1,22 @@
+"""`EncoderScale`: a wrong scale of an encoder."""
+
+from __future__ import annotations
+
+from daq import FloatArray
+from estimator.effects.base import Size
+from estimator.effects.sensor_effects import EncoderEffect
+
+
+class EncoderScale(EncoderEffect):
+    """reading = (1 + s) q."""
+
+    name = "encoder_scale"
+    sizes = (Size("scale_error", "1", 0.01),)
+    sentence = "the encoder's scale is wrong (counts or gear ratio)"
+    reference = "counts per turn"
+    experiment = "a full turn between two known stops"
+    plans = ("ramps",)
+    by_hand = "turn the joint by hand from one known stop to the other in one run"
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return size[0] * q

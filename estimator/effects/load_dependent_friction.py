@@ -1,0 +1,42 @@
+"""`LoadDependentFriction`: friction that grows with the transmitted torque."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects.base import Points, Size, TorqueEffect, View
+from estimator.model import Mechanism
+
+
+class LoadDependentFriction(TorqueEffect):
+    """F = Fc + mu |tau - F sign(v)|: dry friction grows with the transmitted torque, tau less friction.
+
+    So it is smaller while the motor drives than while it brakes. With a voltage input the load is the inverse dynamics
+    of the links. A fit of a torque-driven leg does not converge with that.
+    """
+
+    name = "load_dependent_friction"
+    strict = True
+    positive = 1
+    sizes = (Size("load_coefficient", "1", 0.01),)
+    sentence = "friction grows with the torque that the joint transmits"
+    reference = "Duclusaud, Passault, Padois, Ly 2025"
+    experiment = "the same slow motion with two payloads, or under gravity at several angles"
+    depends_on = "u"
+    plans = ("steady", "ramps")
+    by_hand = "record the session a second time with another payload"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        j, m = self.joint or 0, view.mechanism
+        if m.force_unit == "V":
+            links = np.array([p.rigid for p in m.parameters])
+            q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
+            load = m.inverse_dynamics(q, v, a, view.beta * links)[..., j]
+            return size[0] * np.sqrt(load**2 + 1e-6) * at.sign[j]
+        over = at.u[j] * at.sign[j] - view.parameter("coulomb", j)
+        load = np.sqrt(over**2 + 1e-6)
+        return size[0] * load / (1.0 + np.clip(size[0], -0.9, 0.9) * over / load) * at.sign[j]
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if self.joint in actuated else "the joint carries no measured torque"

@@ -1,0 +1,101 @@
+"""What is told of a decision: shares of the error, sizes that a minor cause moves, sensors that show nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis.account import budget, compared, undecided, with_blind_sensors, with_minor
+from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.family import FittedFamily
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.verdict import Answer, Family, Hidden
+from estimator.effects import battery
+from estimator.effects.joint_stiffness import JointStiffness
+from estimator.effects.torque_delay import TorqueDelay
+from estimator.model import leg2
+from tests.support.stated_fits import NOTHING_LEFT, Named, explained, fitted
+from tests.support.stated_tables import table_of
+
+
+def test_shares_of_the_budget_add_up() -> None:
+    table = table_of(5.0, 1.5, 3.0, 4.0)  # nominal, both causes, less the first, less the second
+    both = explained(900.0, Named("torque_delay"), Named("backlash", 1))
+    rows = budget(table, Answer((both,), 1, (2, 3), 1))
+    assert [(r.what, r.effect, r.joint) for r in rows] == [
+        ("nominal", None, None), ("cause", "torque_delay", None), ("cause", "backlash", 2), ("remainder", None, None),
+        ("noise", None, None)]
+    share = {r.what + (r.effect or ""): r.share for r in rows}
+    assert share["nominal"] == 1.0
+    assert share["causetorque_delay"] + share["causebacklash"] + share["remainder"] == pytest.approx(1.0)
+    assert share["remainder"] == pytest.approx((1.5**2 - 1.0) / (5.0**2 - 1.0))
+    # without the first 9 - 2.25 of error come back, without the second 16 - 2.25
+    assert share["causebacklash"] / share["causetorque_delay"] == pytest.approx((16 - 2.25) / (9 - 2.25))
+    assert share["noise"] == pytest.approx(1.0 / 24.0)
+    assert all(r.ci95[0] <= r.share + 1e-9 and r.share <= r.ci95[1] + 1e-9 for r in rows)
+    assert [(r.what, r.share) for r in budget(table, None)][1] == ("remainder", 1.0)
+
+
+def test_no_budget_is_made_of_noise() -> None:
+    assert budget(table_of(0.98, 0.97), Answer((explained(9.0, "drag"),), 1, (), 1)) == ()
+
+
+def test_sets_of_listed_effects_alone_are_compared() -> None:
+    """Neither generic terms nor fits under another noise, and of two fits of one set the better."""
+    models = [fitted(0.0), fitted(9.0, "drag"), fitted(9.0, "drag"), fitted(9.0, "play", "drag"), fitted(9.0, "drag"),
+              SimpleNamespace(named=(Named("drag"), battery(leg2(), False)[0]))]
+    family = cast(FittedFamily, SimpleNamespace(rows=Family(0, hidden=(Hidden(0, 4, "", True),)), models=models))
+    found = compared(family, table_of(9.0, 1.4, 1.3, 1.1, 0.2, 0.1))
+    assert [keys for keys, _ in found] == [("drag", "play"), ("drag",)]
+    assert [error for _, error in found] == pytest.approx([1.1, 1.3])
+
+
+def test_none_is_no_promise_where_noise_moves_free_runs_as_far_as_the_motion() -> None:
+    """A cart without a spring drifts by its torque's noise alone: nothing was found where free runs erred -553 %."""
+    columns = (("q1_m", 0.1), ("q1_m", 1.0), ("q1_m", np.inf), ("gyro_radps", np.inf))
+    table = replace(table_of(1.0), columns=columns, floor=np.array([0.1, 0.6, 4.0, 0.4]), bound=np.ones(4))
+    warned = with_blind_sensors(Diagnosis("none", "", warnings=("first",)), table).warnings
+    assert warned[0] == "first" and len(warned) == 2
+    assert "60 % of the variance of q1_m in free runs over 1 s" in warned[1]
+    late = replace(table, floor=np.array([0.1, 0.2, 0.9, 0.4]))
+    assert "90 % of the variance of q1_m in free runs over whole runs" in with_blind_sensors(
+        Diagnosis("none", ""), late).warnings[0]
+    quiet = replace(table, floor=np.full(4, 0.1))
+    assert with_blind_sensors(Diagnosis("none", ""), quiet).warnings == ()
+
+
+def told(*sizes: tuple[Any, float, float]) -> Explanation:
+    """Effects with the value and the standard deviation of their first size; the second, if any, is 0."""
+    values = [np.pad([value], (0, e.count - 1)) for e, value, _ in sizes]
+    spread = np.concatenate([np.pad([std], (0, e.count - 1)) for e, _, std in sizes])
+    ends = np.cumsum([v.size for v in values])
+    model: Any = SimpleNamespace(
+        effects=tuple(e for e, *_ in sizes), named=tuple(e for e, *_ in sizes), sizes=lambda: values, width=spread.size,
+        places=lambda: [slice(end - v.size, end) for v, end in zip(values, ends)],
+        state=SimpleNamespace(covariance=np.diag(spread**2)),
+        problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)))
+    known = np.ones(spread.size, dtype=bool)
+    return Explanation(model, 900.0, replace(NOTHING_LEFT, freedom=1e6), inflation=np.ones(spread.size),
+                       determined=known)
+
+
+def test_a_size_that_a_minor_cause_moves_out_of_its_interval_is_told() -> None:
+    """A spring of 0.35 N m/rad with a torque 6 ms late: 0.394 [0.387, 0.401] without the delay, 0.370 with it."""
+    spring, delay = JointStiffness(1), TorqueDelay()
+    alone = told((spring, 0.394, 0.0035))
+    for value, moved in ((0.370, True), (0.395, False)):
+        both = told((spring, value, 0.0025), (delay, 0.005, 1.5e-4))
+        found = with_minor(Diagnosis("named", "", warnings=("first",)), alone, both, 1e-9)
+        assert [c.effect for c in found.immaterial] == ["torque_delay"] and found.warnings[0] == "first"
+        assert [w for w in found.warnings if "stiffness of joint stiffness at joint 2 is 0.37 with torque delay" in w
+                ] == list(found.warnings[1:]) and len(found.warnings) == 1 + moved
+
+
+def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed() -> None:
+    found = undecided(Diagnosis("none", ""), "every simulation diverges")
+    assert found.verdict == "unexplained" and "every simulation diverges" in found.sentence and not found.causes
+    assert found.next_experiment

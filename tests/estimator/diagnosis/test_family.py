@@ -1,0 +1,79 @@
+"""What the train runs say of an answer before any test run is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from estimator.diagnosis.context import DiagnosisContext
+from estimator.diagnosis.data_split import folds
+from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.family import imitates, present_too
+from estimator.diagnosis.search import with_one_more
+from tests.support.stated_fits import Named, explained, fitted, foreseen
+
+
+def context() -> DiagnosisContext:
+    """Gains of less than 120 are not looked at; the nominal model's deviance is 0."""
+    return foreseen({Named("delay"): 4230.0})[0]
+
+
+def more_than(spring: Explanation, gains: dict[str, float], further: dict[str, float] | None = None,
+              has_residual: bool = True) -> list[Explanation]:
+    """Sets of the spring and one effect, with their gains over it, the likeliest first, and what explains more."""
+    return [replace(explained(gain, "spring", key, further=[(further or {}).get(key, 0.0)], has_residual=has_residual),
+                    model=fitted(spring.gain + gain, "spring", key))
+            for key, gain in sorted(gains.items(), key=lambda one: -one[1])]
+
+
+@pytest.mark.parametrize(("gains", "further", "there"), [
+    ({"delay": 4230.0, "ripple": 400.0}, {}, True),
+    ({"delay": 100.0}, {}, False),  # too little to look at
+    ({"delay": 4230.0, "bias": 4228.0}, {}, False),  # not told apart
+    ({"delay": 4230.0, "bias": 4100.0}, {"delay": 300.0, "bias": 500.0}, False),
+    ({"delay": 4230.0}, {"delay": 4231.0}, False),  # an arm's play: another term explains more
+    ({}, {}, False)])
+def test_an_effect_in_addition_is_present_where_nothing_else_explains_as_much(
+        gains: dict[str, float], further: dict[str, float], there: bool) -> None:
+    spring = explained(9000.0, "spring")
+    found = present_too(context(), spring, more_than(spring, gains, further))
+    assert (None if found is None else found.keys) == ({"spring", "delay"} if there else None)
+
+
+def test_an_effect_in_addition_that_is_not_significant_is_not_present() -> None:
+    """The next likeliest may be."""
+    spring = explained(9000.0, "spring")
+    delay, ripple = more_than(spring, {"delay": 4230.0, "ripple": 400.0})
+    delay = replace(delay, model=fitted(13_230.0, "spring", "delay", size=1.0))
+    found = present_too(context(), spring, [delay, ripple])
+    assert found is ripple and present_too(context(), spring, [delay]) is None
+
+
+def test_what_one_further_effect_explains_more_than_is_an_imitation() -> None:
+    """An encoder's offset that the library lacked: an eccentricity gained 20,820, a spring with it 26,249 more."""
+    spring, asked = explained(9000.0, "spring"), context()
+    for gain, imitated in ((8999.0, False), (9001.0, True)):
+        assert imitates(asked, spring, more_than(spring, {"stiffness": gain})) is imitated
+        by_score = replace(spring, further=explained(0.0, further=[gain]).further)  # of a generic term, say
+        assert imitates(asked, by_score, []) is imitated
+    assert not imitates(asked, spring, [])
+    second = more_than(spring, {"scale": 9001.0}, has_residual=False)  # a cause
+    assert not imitates(asked, spring, second)
+    asked.deviance = -9100.0  # the nominal model is likelier
+    assert imitates(asked, spring, [])
+
+
+def test_nothing_is_sought_beside_what_leaves_nothing() -> None:
+    assert with_one_more(context(), explained(9.0, "spring")) == []
+
+
+@pytest.mark.parametrize("count", range(2, 14))
+def test_each_run_is_held_out_once_and_never_all(count: int) -> None:
+    groups = folds(count)
+    assert sorted(k for g in groups for k in g) == list(range(count))
+    assert all(0 < len(g) < count for g in groups) and len(groups) > 1
+
+
+def test_of_four_neighbours_in_excitation_one_is_in_each_group() -> None:
+    assert folds(8) == [(1, 6), (2, 7), (3, 4), (0, 5)]
