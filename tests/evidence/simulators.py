@@ -130,8 +130,8 @@ def page(legs: int) -> Iterator[str]:
         "difference of an angle's reading between `legid simulate` and the folder of `legid export --to mujoco`.",
         "Target: below 1 mrad at both steps. The torque is such that no leg's motion is chaotic.", "",
         "![Knee of an emulated leg with a hidden spring: measured, plain MJCF, exported model](../mujoco.svg)", "",
-        "*The knee of `legid demo` on a held-out run. MuJoCo simulates the nominal model as plain MJCF, and the extended "
-        "model as exported.*", "",
+        "*The knee of `legid demo` on a held-out run. MuJoCo simulates the nominal model as plain MJCF, and the "
+        "extended model as exported.*", "",
         "| effects | held by | 1 ms [mrad] | 0.25 ms [mrad] |", "|---|---|---|---|"]
     cases: list[tuple[tuple[str, ...], bool, float]] = [((), False, 0.005), ((), False, BROAD_RADPS)]
     cases += [((name,), False, 0.005) for name in EFFECTS] + [(pair, False, 0.005) for pair in PAIRS]
