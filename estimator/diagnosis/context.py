@@ -41,7 +41,7 @@ GENERIC_STEPS = 12
 
 @dataclass
 class DiagnosisContext:
-    """What the steps of a search share: candidates and how they are tested, and the nominal model."""
+    """Candidates, how they are tested, and the nominal model: all steps of a search share them."""
 
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]

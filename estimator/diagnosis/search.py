@@ -117,7 +117,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
 
 
 class TrainFloor(NamedTuple):
-    """What noise leaves of the free runs of one model on some train runs."""
+    """Errors that noise alone leaves in the free runs of one model on some train runs."""
 
     unit: Model
     runs: tuple[int, ...]

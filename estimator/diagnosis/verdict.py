@@ -64,7 +64,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Family:
-    """What the search found, by rows of a table whose first is the nominal model."""
+    """Findings of a search, by rows of a table whose first is the nominal model."""
 
     own: int
     """Of the nominal model with generic terms; NOMINAL where none is significant"""

@@ -95,7 +95,7 @@ def score_at(problem: LatentProblem, state: State) -> Score:
     """Score over the problem's parameters, sizes and candidates at the smoothed motion in `state`.
 
     A passive joint's misfit counts as in a model that is right, with at most one variance a sample: under a model that
-    is wrong, as it is of a rig that has changed, a larger one would move the parameters by itself.
+    is wrong, as it is of a rig that has changed, a larger one alone would move the parameters.
     """
     point = problem.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()

@@ -17,7 +17,7 @@ from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
 from estimator.signals.orientation import Kinematics, sight, with_imus
 
 LEAST_SEGMENT = 100
-"""Samples of a segment that says something by itself."""
+"""Samples of a segment that is worth looking at alone."""
 STANCE = "stance"
 """Column of a walker's record: which leg is on the ground."""
 
