@@ -134,7 +134,7 @@ def make_text(rng: np.random.Generator, path: Path) -> None:
 
 
 def make_can(rng: np.random.Generator, path: Path) -> None:
-    """Frames of an ODrive; a few of other drives, lengths and kinds, and in a third of the files lines that are none."""
+    """Frames of an ODrive; a few of other drives, lengths and kinds, and in a third of the files broken lines."""
     lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
     for k in range(int(2 ** rng.uniform(1, 8))):
         number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else int(rng.integers(2**29))
