@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from daq import InputError, Rig
+from daq import Dataset, InputError, Rig
 from estimator import Finding, FitError, FitResult, Method
 from estimator.fitting import fit_admissible, with_second_opinion
 from estimator.model import Mechanism
@@ -33,6 +33,8 @@ from experiments.workflows.servo_gain import scaled
 
 NOISY = 0.2
 """Share of a torque's spread that, put down to noise, asks whether the angles err by more than their encoder shows."""
+NEARLY_ALL = 0.98
+"""Share of the samples from which on a fit does not say how many it has used."""
 UNLIMITED = 1e6
 """Torque limit [rad of error] of a servo in units of its gain."""
 NOT_WHITE = 0.25
@@ -93,7 +95,8 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
         if found is not None:
             choice, setup, result, wrong = found
             choices = (*choices, choice)
-    findings = [*_of_runs(prepared), *_noise_findings(result), *result.findings, *wrong,
+    findings = [*_of_runs(prepared), *_of_samples(result, setup.datasets), *_noise_findings(result),
+                *result.findings, *wrong,
                 *(Finding("assumption", "run_note", text) for text in setup.notes),
                 *(Finding("assumption", "choice", str(choice)) for choice in choices)]
     choices = (*choices, *_found_smoothing(setup.mechanism, result.mechanism))  # its fit has said so
@@ -133,6 +136,15 @@ def _of_runs(prepared: Prepared) -> list[Finding]:
     return [*(Finding("warning", "run_set_aside", str(run)) for run in prepared.set_aside),
             *(Finding("warning", "rig_contradiction" if one.flag.kind == "rig" else "run_doubt", str(one))
               for one in prepared.flags)]
+
+
+def _of_samples(result: FitResult, datasets: Sequence[Dataset]) -> list[Finding]:
+    """How many samples of the runs the fit has used, if it is not nearly all."""
+    recorded = sum(map(len, datasets))
+    if result.samples >= NEARLY_ALL * recorded:
+        return []
+    return [Finding("assumption", "samples", f"uses {result.samples} of {recorded} samples: the others are gaps, or "
+                    "too few between gaps")]
 
 
 def _noise_findings(result: FitResult) -> list[Finding]:

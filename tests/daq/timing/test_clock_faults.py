@@ -1,14 +1,18 @@
 """The controller's clock steps, wraps, stands still or changes its rate: said while recording, by info and by runs."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from daq.rig import load_rig
 from daq.runs.mcap_run import RawRun, read_run
 from daq.timing import align, decode, find_clock_faults, recorded_rig
 from experiments.reports.run_info import describe_mcap
 from experiments.reports.run_list import list_runs
+from experiments.workflows import fit_runs
 from tests.support.clock_bench import KINDS, WHICH, strike
 from tests.support.paths import FIXTURES
 
@@ -74,3 +78,18 @@ def test_samples_that_contradict_the_probes_are_counted(tmp_path: Path) -> None:
 def test_a_sound_clock_is_not_suspected(name: str) -> None:
     raw = read_run(FIXTURES / f"{name}.mcap")
     assert find_clock_faults(raw) == [] and said(raw)[1] == []
+
+
+def test_a_fit_says_how_many_samples_it_used(tmp_path: Path) -> None:
+    """Set aside for the clock, or lost in a gap: no fit is silent about them."""
+    path, _ = strike("forward 5 ms", "telemetry", "driving", tmp_path)
+    rig = recorded_rig(read_run(path))
+    fitted = fit_runs([align(read_run(path), rig)], rig)
+    said = " ".join(one.text for one in fitted.result.findings)
+    assert re.search(r"\d+ of \d+ samples are set aside", said)
+    healthy = align(read_run(FIXTURES / "healthy.mcap"), rig)
+    angle = healthy["q2_rad"].copy()
+    angle[200:300] = np.nan
+    gap = replace(healthy, columns={**healthy.columns, "q2_rad": angle})
+    found = fit_runs([gap], load_rig(FIXTURES / "rig.toml")).result
+    assert f"uses {found.samples} of {len(gap)} samples" in " ".join(one.text for one in found.findings)
