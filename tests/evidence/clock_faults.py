@@ -67,13 +67,14 @@ def page(cells: Sequence[Cell]) -> str:
         f"# Faults of the controller's clock, {datetime.now(UTC):%Y-%m-%d}", "",
         f"By `make clock-faults`: {len(cells)} recordings of {SECONDS:g} s of the emulated leg with legid's own "
         "controller on virtual time. From one moment on the ticks of its telemetry, of its answers to clock probes, or "
-        "of both are off. The bought drives (moteus, ODrive, Dynamixel) keep no time: the host stamps their samples, so "
-        "these faults do not exist there.", "",
+        "of both are off. The bought drives (moteus, ODrive, Dynamixel) keep no time: the host stamps their samples, "
+        "so these faults do not exist there.", "",
         f"- {len(said)} of {len(cells)} faults are said by all three: an event while recording, a warning of `legid "
         f"info` and `legid fit`, and `legid runs`; {len(unsaid)} unsaid.",
         "- `used`: share of the samples that a fit gets. The others are set aside, with their number in the warning.",
-        f"- Unsaid: {'; '.join(f'{c.kind} ({c.which}, {c.moment})' for c in unsaid) or 'none'}. A freeze of the "
-        "probes that ends before the next probe touches none of them. Telemetry that comes later and later is told from a late "
+        f"- Unsaid: {'; '.join(f'{c.kind} ({c.which}, {c.moment})' for c in unsaid) or 'none'}. A freeze of "
+        "the probes that ends before the next probe touches none of them. Telemetry that comes later and later is told "
+        "from a late "
         "host beyond 20 ms alone.", "",
         "| fault | ticks of | at | events | runs | used | what the file says |",
         "| --- | --- | --- | ---: | --- | ---: | --- |"]
