@@ -143,7 +143,7 @@ def _of_samples(result: FitResult, datasets: Sequence[Dataset]) -> list[Finding]
     recorded = sum(map(len, datasets))
     if result.samples >= NEARLY_ALL * recorded:
         return []
-    return [Finding("assumption", "samples", f"uses {result.samples} of {recorded} samples: the others are gaps, or "
+    return [Finding("assumption", "run_note", f"uses {result.samples} of {recorded} samples: the others are gaps, or "
                     "too few between gaps")]
 
 

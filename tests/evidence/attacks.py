@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "\n".join([
         f"# Files made to do harm, {datetime.now(UTC):%Y-%m-%d}", "",
         f"By `make attacks`: {len(rows)} files, each through one command. Time is that of the processor and memory the "
-        "largest process, the child that reads the file included.", "",
+        "largest process, the child that reads the file included; both are at most so large.", "",
         f"- {good} of {len(rows)} end in one line or do no harm; slowest {slowest:.1f} s, most {most:.0f} MB.", "",
         "| file | command | status | time [s] | memory [MB] | last line |", "| --- | --- | ---: | ---: | ---: | --- |",
         *rows, ""])

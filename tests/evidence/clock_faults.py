@@ -12,8 +12,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from daq.errors import InputError
 from daq.runs import read_run
 from daq.timing import decode, recorded_rig
@@ -41,8 +39,6 @@ class Cell(NamedTuple):
     """`legid runs` says it."""
     used: float
     """Share of the samples that a fit gets."""
-    off_ms: float
-    """Largest error of a used sample's time against its arrival [ms]."""
     ended: str
 
 
@@ -57,13 +53,10 @@ def measure(kind: str, which: str, moment: str) -> Cell:
         try:
             found = decode(raw, recorded_rig(raw))
         except InputError as error:
-            return Cell(kind, which, moment, events, str(error), bool(line.flaws), 0.0, 0.0, said)
+            return Cell(kind, which, moment, events, str(error), bool(line.flaws), 0.0, said)
         flag = " ".join(str(one) for one in found.flags if one.kind == "clock")
-        times = found.channels[0].time_s
-        arrived = (telemetry["host_ns"] - found.epoch_ns) * 1e-9
-        off = np.abs(times - arrived[np.searchsorted(arrived, times).clip(0, arrived.size - 1)])
         return Cell(kind, which, moment, events, flag, any("clock" in flaw for flaw in line.flaws),
-                    times.size / telemetry.size, 1e3 * float(off.max(initial=0.0)), said)
+                    found.channels[0].time_s.size / telemetry.size, said)
 
 
 def page(cells: Sequence[Cell]) -> str:
@@ -74,18 +67,21 @@ def page(cells: Sequence[Cell]) -> str:
         f"# Faults of the controller's clock, {datetime.now(UTC):%Y-%m-%d}", "",
         f"By `make clock-faults`: {len(cells)} recordings of {SECONDS:g} s of the emulated leg with legid's own "
         "controller on virtual time. From one moment on the ticks of its telemetry, of its answers to clock probes, or "
-        "of both are off. moteus, ODrive and Dynamixel keep no time: the host stamps their samples, so these faults do "
-        "not exist there.", "",
+        "of both are off. The bought drives (moteus, ODrive, Dynamixel) keep no time: the host stamps their samples, "
+        "so these faults do not exist there.", "",
         f"- {len(said)} of {len(cells)} faults are said by all three: an event while recording, a warning of `legid "
         f"info` and `legid fit`, and `legid runs`; {len(unsaid)} unsaid.",
         "- `used`: share of the samples that a fit gets. The others are set aside, with their number in the warning.",
-        "- `off`: largest difference between a used sample's time and the arrival of the first sample after it.", "",
-        "| fault | ticks of | at | events | runs | used | off [ms] | what the file says |",
-        "| --- | --- | --- | ---: | --- | ---: | ---: | --- |"]
+        f"- Unsaid: {'; '.join(f'{c.kind} ({c.which}, {c.moment})' for c in unsaid) or 'none'}. A freeze of "
+        "the probes that ends before the next probe touches none of them. Telemetry that comes later and later is told "
+        "from a late "
+        "host beyond 20 ms alone.", "",
+        "| fault | ticks of | at | events | runs | used | what the file says |",
+        "| --- | --- | --- | ---: | --- | ---: | --- |"]
     for c in cells:
         words = c.flag.removeprefix("the controller's clock failed: ") or "nothing"
         listed = "yes" if c.listed else "no"
-        found = (c.kind, c.which, c.moment, c.events, listed, f"{c.used:.0%}", f"{c.off_ms:.1f}", words)
+        found = (c.kind, c.which, c.moment, c.events, listed, f"{c.used:.0%}", words)
         lines.append(f"| {' | '.join(map(str, found))} |")
     return "\n".join(lines) + "\n"
 
