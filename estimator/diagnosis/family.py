@@ -87,9 +87,10 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
         answer, largest = _answer(context, rows, best, parts, imitates(context, best[0], more))
         second = second_answer(context, shortlist, best, parts, floor)
         minor = present_too(context, best[0], more)
-        rivals = tuple((e, rows.of(e.model)) for e in shortlist
-                       if admissible(e) and len(e.model.effects) == len(best[0].model.effects)
-                       and e.keys != best[0].keys)
+        firsts = [best[0], *([] if second is None else second[0][:1])]
+        counts = {len(e.keys) for e in firsts}
+        rivals = tuple((e, rows.of(e.model)) for e in shortlist if admissible(e) and len(e.keys) in counts
+                       and e.keys not in [first.keys for first in firsts])
         family = replace(family, answer=answer, rivals=rivals, closest=None,
                          second=None if second is None else _answer(context, rows, *second)[0],
                          minor=None if minor is None else (minor, rows.of(minor.model)))

@@ -75,7 +75,7 @@ class Family:
     minor: tuple[Explanation, int] | None = None
     """One effect more, which only the readings show, and its row"""
     rivals: tuple[tuple[Explanation, int], ...] = ()
-    """Other admissible sets of as many effects"""
+    """Other admissible sets of as many effects as an answer has"""
     closest: Explanation | None = None
     """Where there is no answer: the likeliest set, whose effects are not all present"""
     hidden: tuple[Hidden, ...] = ()
