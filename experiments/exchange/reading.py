@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from daq import Column, Dataset, InputError, Rig, load_rig, open_regular
-from daq.runs import SUFFIXES, missing, read_csv, written_by
+from daq.runs import SUFFIXES, missing, read_csv
 from daq.timing import align_table
 from experiments.exchange.archives import SUFFIXES as ARCHIVES
 from experiments.exchange.archives import read_archive
@@ -81,6 +81,8 @@ def is_native(path: Path | str) -> bool:
     """
     if not str(path).lower().endswith(".mcap") or Path(path).is_dir():
         return False
+    from daq.runs import written_by  # with a reader of MCAP, which a CSV needs none of
+
     library = written_by(Path(path))
     return library is None or library.startswith(NATIVE)
 

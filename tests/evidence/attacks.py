@@ -6,20 +6,15 @@
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.evidence.registry import Evidence
 from tests.support.hostile_files import ATTACKS
-from tests.support.paths import ROOT
+from tests.support.measured_command import measured
 
-MOST_S = 60.0
 EVIDENCE = (
     Evidence("Files made to do harm, through the commands that read them", "make attacks", "attacks.md", 4,
              "one line, below 10 s and 1 GB", (r"\d+ of \d+ end in one line", r"slowest [\d.]+ s", r"most \d+ MB")),)
@@ -27,18 +22,9 @@ EVIDENCE = (
 
 def call(command: Sequence[str], folder: Path) -> tuple[int, str, float, float]:
     """Exit status, last line, seconds of a processor and MB of `legid COMMAND`, its children included."""
-    with tempfile.TemporaryFile() as said:
-        child = subprocess.Popen([sys.executable, "-P", "-m", "experiments.cli", *command], cwd=folder, stdout=said,
-                                 stderr=said, stdin=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(ROOT)})
-        deadline = time.monotonic() + MOST_S
-        while not (found := os.wait4(child.pid, os.WNOHANG))[0]:
-            if time.monotonic() > deadline:
-                child.kill()
-            time.sleep(0.02)
-        child.returncode = os.waitstatus_to_exitcode(found[1])
-        said.seek(0)
-        lines = said.read().decode(errors="replace").strip().splitlines()
-    return child.returncode, lines[-1] if lines else "", found[2].ru_utime + found[2].ru_stime, found[2].ru_maxrss / 1e3
+    found = measured(command, folder)
+    lines = (found.out + found.error).strip().splitlines()
+    return found.status, lines[-1] if lines else "", found.seconds, found.megabytes
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

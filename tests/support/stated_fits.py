@@ -63,7 +63,7 @@ class Fitted:
 
     @property
     def split(self) -> Any:
-        return SimpleNamespace(clock_bound_s=0.0, workers=1)
+        return SimpleNamespace(clock_bound_s=0.0, workers=1, open_size=lambda effect: 0.0)
 
     @property
     def state(self) -> Any:

@@ -116,7 +116,7 @@ def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Pat
         assert main(["validate", str(model), files[3], "--rig", str(rig), "--sensors", "encoder",
                      "--json", str(tmp_path / f"{name}-v.json")]) == 0
         errors[name] = rmse(tmp_path / f"{name}-v.json")
-    assert errors["zero"] < 0.5 * errors["plain"]
+    assert errors["zero"] < 0.6 * errors["plain"]
 
 
 def rmse(path: Path) -> float:

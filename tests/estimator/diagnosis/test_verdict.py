@@ -75,7 +75,8 @@ def test_without_an_answer_an_error_is_unexplained_beyond_noise_alone() -> None:
     for whole, closest, expected, why in ((1.4, tilt, "none", ""), (1.9, tilt, "unexplained", NOT_PRESENT),
                                           (1.9, None, "unexplained", "the free-run error is 1.9 times that of noise")):
         found = decided(table_of(whole), Family(0, closest=closest))
-        assert found.verdict == expected and found.answer is None and found.why.startswith(why) and not found.open
+        assert found.verdict == expected and found.answer is None and found.why.startswith(why)
+        assert found.open is (expected == "unexplained")  # one unlucky test run is not enough
     assert decided(table_of(1.9, 1.85), Family(1)).terms == "nominal"  # it has terms to tell of
     assert decided(table_of(1.9), Family(0)).terms == ""
 

@@ -178,7 +178,7 @@ def test_a_record_of_a_gear_with_friction_at_the_link_has_no_residual_at_the_enc
 def records(request: pytest.FixtureRequest) -> dict[str, list[Dataset]]:
     """Runs with each effect that this session asks for: one integration."""
     kinds = [item.callspec.params["kind"] for item in request.session.items
-             if isinstance(item, pytest.Function) and "records" in item.fixturenames]
+             if isinstance(item, pytest.Function) and item.path == request.path and "records" in item.fixturenames]
     return record_hidden(sorted({str(getattr(kind, "name", "")) for kind in kinds} & HIDDEN.keys()))
 
 
