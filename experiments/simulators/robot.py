@@ -16,7 +16,7 @@ import numpy as np
 from daq import FloatArray, InputError, read_bytes
 from experiments.simulators.mujoco_runs import require_mujoco
 
-MOST_BYTES = 10_000_000
+MOST_BYTES, MOST_BODIES = 10_000_000, 1000
 PLANAR = "give a serial chain of hinges with parallel axes, whose links have masses"
 NO_MASS = 1e-9
 """Mass below which a link has none [kg]."""
@@ -64,6 +64,9 @@ def read_robot(path: Path) -> list[Link]:
         raise InputError(str(path), f"is not XML: {error}", "give a URDF or MJCF file; run xacro first") from None
     if root.tag not in ("robot", "mujoco"):
         raise InputError(str(path), f"begins with <{root.tag}>", "give a URDF or MJCF file; run xacro first")
+    bodies = sum(1 for element in root.iter() if element.tag in ("link", "body"))
+    if bodies > MOST_BODIES:
+        raise InputError(str(path), f"has {bodies} bodies, {MOST_BODIES} are read", PLANAR)
     model = _compiled(root, path)
     names = [joint.get("name") for joint in root.findall("transmission/joint")] if root.tag == "robot" else []
     return _links(model, names, str(path))
