@@ -138,8 +138,6 @@ def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explana
         family = family_of(context, found, generic)
         first = measure_first(family, rng)
     except FitError as error:
-        if not found:  # nothing was detected
-            return account.nothing(base)
         return account.undecided(base, f"every simulation of the held-out runs diverges ({error})")
     table, rotations = first, tuple[Rotation, ...]()
     decision = decide(first, family.rows, material)
