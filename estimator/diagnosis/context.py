@@ -58,7 +58,7 @@ class DiagnosisContext:
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters, one a train run"""
     left_out: list[tuple[Model, dict[int, PredictedRun]]] = field(default_factory=list)
-    """See `search.left_out_runs`"""
+    """See `train_errors.left_out_runs`"""
     extensions: list[tuple[Explanation, Model]] = field(default_factory=list)
     """See `with_generic`"""
     held: dict[bytes, Model] = field(default_factory=dict)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import SURE
+from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
 from estimator.diagnosis.model import Model
 from estimator.score import NO_TESTS, Score, ScoreTests, least_sigmas
 
@@ -60,6 +60,29 @@ def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
     """
     first, best = list(found[:most]), simulates_best(found)
     return first if best is None or any(best is e for e in first) else [*first[: most - 1], best]
+
+
+def by_error(options: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations by rising error of free runs over a second on the train runs; inadmissible ones last.
+
+    The first gives the noise that is the unit: the likeliest can be a small fault of a sensor, which takes for noise
+    what the simulation lacks.
+    """
+    return sorted(options, key=lambda o: (not admissible(o), o.error))
+
+
+def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
+    """The first of each number of effects, the fewest effects first."""
+    counts = sorted({len(o.model.effects) for o in options})
+    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], WIDTH)]
+
+
+def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest explanations, of each number of effects at least `WIDTH`, and each set of effects once."""
+    every = sorted(options, key=lambda o: -o.gain)
+    ranked = [o for k, o in enumerate(every) if not any(o.keys == e.keys for e in every[:k])]
+    first = first_of_each(ranked)
+    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
 
 
 def simulates_best(found: Sequence[Explanation]) -> Explanation | None:

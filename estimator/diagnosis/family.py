@@ -16,21 +16,13 @@ from estimator.diagnosis.context import DiagnosisContext, assess, with_generic
 from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
-from estimator.diagnosis.explanation import Explanation, admissible, is_close
+from estimator.diagnosis.explanation import Explanation, admissible, by_error, is_close, shortlisted
 from estimator.diagnosis.model import Model, deviance, fit_nominal, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.result import Rotation
-from estimator.diagnosis.search import (
-    TrainFloor,
-    by_error,
-    explained,
-    floor_of_best,
-    pairs_of,
-    shortlisted,
-    train_table,
-    with_one_more,
-)
+from estimator.diagnosis.search import explained, pairs_of, with_one_more
+from estimator.diagnosis.train_errors import TrainFloor, floor_of_best, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError

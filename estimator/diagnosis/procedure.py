@@ -39,8 +39,9 @@ from estimator.diagnosis.family import family_of, measure_all, measure_first
 from estimator.diagnosis.model import Model, deviance, likeliest_smoothing_velocity
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
-from estimator.diagnosis.search import fit_likeliest, floor_of_best, grown, search, train_table
+from estimator.diagnosis.search import fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
+from estimator.diagnosis.train_errors import floor_of_best, train_table
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError

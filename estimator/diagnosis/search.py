@@ -9,9 +9,7 @@ fails where the smaller model is far off, the other where a fit begins with a wr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -25,28 +23,33 @@ from estimator.diagnosis.context import (
     assess_answers,
     best_shapes,
     start_size,
-    with_generic,
     without,
 )
 from estimator.diagnosis.decision_rule import EDGE, GROWN, MOST_EFFECTS, SUFFICES, WIDTH
-from estimator.diagnosis.error_table import NOMINAL, ErrorTable, floors_of, judged
-from estimator.diagnosis.explanation import Explanation, admissible, presence, seated, undetermined
+from estimator.diagnosis.error_table import NOMINAL
+from estimator.diagnosis.explanation import (
+    Explanation,
+    admissible,
+    by_error,
+    first_of_each,
+    presence,
+    seated,
+    undetermined,
+)
 from estimator.diagnosis.model import (
     Model,
     deviance,
     misfit,
     misfit_by_run,
-    predicted_left_out,
     predicted_train,
     refit,
-    score_train,
 )
-from estimator.diagnosis.noise_floor import noise_floor
+from estimator.diagnosis.train_errors import floor_of_best, train_table
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
 from estimator.prediction import SHORT_S, PredictedRun, tabulate, together
-from estimator.score import Score, ScoreTests
+from estimator.score import ScoreTests
 
 FIRST_STEPS, HELD_STEPS = 2, 12
 """Most steps of a fit with shapes held: of those that are tried, and of those that are fitted to the end."""
@@ -116,78 +119,9 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
                                            or last < before * (1.0 - SUFFICES * context.share)))
 
 
-class TrainFloor(NamedTuple):
-    """Errors that noise alone leaves in the free runs of one model on some train runs."""
-
-    unit: Model
-    runs: tuple[int, ...]
-    floors: list[FloatArray]
-
-
-def floor_of_best(context: DiagnosisContext, best: Sequence[Explanation], runs: tuple[int, ...]) -> TrainFloor:
-    """The floor on these train `runs` of the first of `best` that can be simulated, else of the nominal model, with the
-    noise that it has with generic terms: a wrong effect counts what it leaves as a disturbance. Raises `FitError` where
-    none can."""
-    for one in best:
-        with suppress(FitError):
-            noise = noise_floor(with_generic(context, one))
-            return TrainFloor(one.model, runs, floors_of(one.model, runs, noise, context.rng))
-    nominal = context.nominal
-    return TrainFloor(nominal, runs, floors_of(nominal, runs, noise_floor(nominal), context.rng))
-
-
-def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: TrainFloor) -> ErrorTable:
-    """Errors of the nominal model and of `found`, in this order, on the runs of the `floor`, in its units.
-
-    Each run is predicted by the fit to the other train runs. Raises `FitError`.
-    """
-    every = [left_out_runs(context, context.nominal, context.scores, floor.runs),
-             *(left_out_runs(context, e.model, e.scores, floor.runs) for e in found)]
-    runs = [reduce(together, [one[run] for one in every]) for run in floor.runs]
-    return judged(floor.unit, runs, floor.floors, range(len(every)), context.rng)
-
-
-def left_out_runs(context: DiagnosisContext, model: Model, scores: Sequence[Score], runs: Sequence[int]
-                  ) -> dict[int, PredictedRun]:
-    """Each of these train `runs` as predicted by the fit of `model` without its fold; each fold once."""
-    known = next((found for one, found in context.left_out if one is model), None)
-    if known is None:
-        known = {}
-        context.left_out.append((model, known))
-    missing = [fold for fold in context.split.inner if set(fold) & set(runs) and not set(fold) <= known.keys()]
-    own = scores if scores or not missing else score_train(model, ())
-    for found in parallel_map(lambda k: predicted_left_out(model, own, missing[k]), len(missing),
-                              context.split.workers):
-        known |= found
-    return known
-
-
 def possible(found: Sequence[Explanation]) -> list[Explanation]:
     """The `admissible` ones, or all without any: a set that is no answer sets neither noise levels nor scatter."""
     return [e for e in found if admissible(e)] or list(found)
-
-
-def by_error(options: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations by rising error of free runs over a second on the train runs; inadmissible ones last.
-
-    The first gives the noise that is the unit: the likeliest can be a small fault of a sensor, which takes for noise
-    what the simulation lacks.
-    """
-    return sorted(options, key=lambda o: (not admissible(o), o.error))
-
-
-def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
-    """The first of each number of effects, the fewest effects first."""
-    counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], WIDTH)]
-
-
-def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least `WIDTH`, and each set of effects once."""
-    every = sorted(options, key=lambda o: -o.gain)
-    ranked = [o for k, o in enumerate(every) if not any(o.keys == e.keys for e in every[:k])]
-    first = first_of_each(ranked)
-    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
 
 
 def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:

@@ -1,4 +1,4 @@
-"""`decide`: the verdict on what the train runs chose, by its errors on runs that chose nothing.
+"""`decide`: the verdict on what the train runs chose, by its errors on test runs.
 
 It fits nothing, simulates nothing and draws nothing: it is a function of a table and of which model is in which row.
 """

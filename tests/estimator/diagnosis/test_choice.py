@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.decision_rule import MATERIAL, WIDTH
-from estimator.diagnosis.explanation import Explanation, seated
-from estimator.diagnosis.search import by_error, possible, shortlisted
+from estimator.diagnosis.explanation import Explanation, by_error, seated, shortlisted
+from estimator.diagnosis.search import possible
 from estimator.diagnosis.verdict import UNCHANGED, UNSURE, choose, is_material, is_open, likeliest, shortfall
 from tests.support.stated_fits import AT_LIMIT, explained
 from tests.support.stated_tables import BLOCKS, RUNS, scaled, table_of
@@ -92,7 +92,7 @@ def test_sets_that_the_runs_do_not_tell_apart_are_chosen_together() -> None:
     ((6.9, 3.7, 1.4), [[0, 0], [900, 900], [700, 800]], 1)])  # less likely with it
 def test_a_larger_set_is_chosen_where_it_lowers_what_the_smaller_leaves(
         errors: tuple[float, ...], agreement: list[list[float]] | None, told: int) -> None:
-    """A wrong gyro scale beside an encoder's offset: 6.9, 3.7 by the offset alone, 1.4 by both."""
+    """A wrong gyro scale together with an encoder's offset: 6.9, 3.7 by the offset alone, 1.4 by both."""
     among = [(explained(10_000.0, "offset"), 1), (explained(13_000.0, "offset", "scale"), 2)]
     best, row = choose(among, table_of(*errors, agreement=agreement), MATERIAL)
     assert row == told and best[0] is among[told - 1][0] and len(best) == 1
@@ -118,7 +118,7 @@ def test_the_last_place_is_for_what_simulates_best() -> None:
 
 
 def test_each_set_of_effects_is_listed_once_by_its_likeliest_fit() -> None:
-    """Two fits of one set, from different starts, stood beside each other as rivals: an internal error."""
+    """Two fits of one set, from different starts, were rivals of each other: an internal error."""
     single, again, pair = explained(900.0, "a"), explained(950.0, "a"), explained(990.0, "b", "a")
     found = shortlisted([single, again, pair, explained(980.0, "a", "b")])
     assert len(found) == 2 and found[0] is again and found[1] is pair

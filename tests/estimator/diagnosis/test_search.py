@@ -10,8 +10,9 @@ import pytest
 from estimator.diagnosis import search
 from estimator.diagnosis.context import Start, assess, assess_answers, bias_of
 from estimator.diagnosis.decision_rule import GROWN, WIDTH
-from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.model import Model, deviance
+from estimator.diagnosis.train_errors import floor_of_best, left_out_runs
 from estimator.effects.quadratic_drag import QuadraticDrag
 from estimator.effects.stribeck_friction import StribeckFriction
 from estimator.effects.torque_delay import TorqueDelay
@@ -135,7 +136,7 @@ def promised(monkeypatch: pytest.MonkeyPatch, errors: dict[int, float]) -> searc
     one = searched(drag=DRAG, spring=SPRING)
     of_count = {len(e.keys): e for e in one.found if "quadratic_drag@1" in e.keys}
     found = [replace(of_count[count], error=error) for count, error in errors.items() if count]
-    values = np.array([errors[0], *(e.error for e in search.by_error(search.first_of_each(found)))])
+    values = np.array([errors[0], *(e.error for e in by_error(first_of_each(found)))])
     table = table_of(*values)
     monkeypatch.setattr(search, "train_table", lambda *_: table)
     return search.promise(replace(one.context, rng=np.random.default_rng(0)), found)
@@ -158,12 +159,12 @@ def test_a_train_run_is_predicted_by_the_fit_to_the_others() -> None:
     context = replace(one.context, left_out=[], rng=np.random.default_rng(0))
     best = one.found[0]
     fold = context.split.inner[0]
-    left = search.left_out_runs(context, best.model, best.scores, fold)
+    left = left_out_runs(context, best.model, best.scores, fold)
     assert set(left) == set(fold) and context.left_out[0][0] is best.model
-    assert search.left_out_runs(context, best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
+    assert left_out_runs(context, best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
     biased = [replace(s, score=s.score + (3.0 if run in fold else -3.0) * s.scale)
               for s, run in zip(best.scores, context.split.train)]
-    other = search.left_out_runs(replace(context, left_out=[]), best.model, biased, fold)
+    other = left_out_runs(replace(context, left_out=[]), best.model, biased, fold)
     assert np.nanmax(np.abs(other[fold[0]].simulated - left[fold[0]].simulated)) > 0.0
 
 
@@ -174,6 +175,6 @@ def test_where_nothing_can_be_simulated_more_is_tried() -> None:
     wild = replace(one.context.nominal, state=replace(one.context.nominal.state, beta=beta))
     context = replace(one.context, nominal=wild)
     with pytest.raises(FitError, match="diverges"):
-        search.floor_of_best(context, [], context.split.inner[0])
+        floor_of_best(context, [], context.split.inner[0])
     lost = replace(one.found[0], model=wild)
     assert search.promise(context, [lost]) == (True, True)

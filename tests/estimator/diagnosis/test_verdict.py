@@ -1,4 +1,4 @@
-"""`decide`: what matters is what changes the simulation's error on runs that chose nothing."""
+"""`decide`: a cause is material if it changes the simulation's error on test runs."""
 
 from __future__ import annotations
 
@@ -164,9 +164,9 @@ def test_a_second_cause_is_named_where_it_lowers_what_the_first_leaves(errors: t
 
 
 def test_a_second_cause_asks_all_runs_only_where_it_may_be_material() -> None:
-    """Beside a spring a late torque lowered the error by 15 %, in 80 % of the resamplings by what matters."""
+    """In addition to a spring a late torque lowered the error by 15 %, materially in 80 % of the resamplings."""
     table, family = with_second(9.0, 1.5, 1.25)
-    diverging = scaled(scaled(table, 2, 4.0, 4), 1, 3.5, 4)  # one piece strays with both, and makes the fall unsure
+    diverging = scaled(scaled(table, 2, 4.0, 4), 1, 3.5, 4)  # one piece diverges with both: not sure
     assert decided(diverging, family).open and decided(diverging, family).answer is family.answer
     for errors, agreement, is_open in (((9.0, 1.5, 1.25), None, True), ((9.0, 1.5, 1.4), None, False),
                                        ((9.0, 1.5, 1.25), [[0, 0], [900, 900], [700, 800]], False)):
@@ -238,7 +238,7 @@ def test_it_is_open_whether_an_error_falls_by_a_tenth_where_blocks_differ() -> N
 
 
 def test_it_is_open_whether_an_error_falls_where_one_run_diverges() -> None:
-    """Of a saturated motor's runs kept back one strayed with the cause and not without: 1.35 to 3.08, and all eight
+    """Of a saturated motor's test runs one diverged with the cause and not without: 1.35 to 3.08, and all eight
     together 23.9 to 1.13."""
     table = scaled(table_of(1.4, 1.0, agreement=[[0, 0], [900, 300]]), 1, 8.0, 9)
     assert decided(table, family_of()).verdict == "none" and decided(table, family_of()).open
