@@ -96,7 +96,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
                          for p, value in zip(result.mechanism.parameters, result.beta)),
         covariance=covariance, ci95=_intervals(result),
         noise={name: float(level) for name, level in result.noise.items()},
-        hold=result.hold if hold == "auto" else hold,  # type: ignore[arg-type]
+        hold=result.hold if hold == "auto" else hold,
         provenance=Provenance(runs=tuple(runs), method=result.method,
                               prior={one.name: (one.value, one.std) for one in result.prior},
                               sensors=result.sensors,  # type: ignore[arg-type]
