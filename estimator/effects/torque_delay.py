@@ -33,7 +33,7 @@ class TorqueDelay(TorqueSensorEffect):
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         if view.measured is None:
             return {torque_of(j): view.delayed(view.samples.u[j], None, size[0]) for j in self.driven(view)}
-        found, whole_s = {}, view.dt_s * np.round(size[0] / view.dt_s)
+        found, whole_s = {}, view.dt_s * np.trunc(size[0] / view.dt_s)
         for channel in (torque_of(j) for j in self.driven(view)):
             slow = view.measured.slow[channel]
             fast = view.measured.readings[channel] - slow
