@@ -129,7 +129,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
                          "record for longer, or check the unit of time_s")
     used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
     wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
-    return replace(run, flags=(Flag("rows", _told(wrong)),)) if wrong else run
+    return replace(run, flags=(*run.flags, Flag("rows", _told(wrong)))) if wrong else run
 
 
 def _told(wrong: Sequence[Wrong]) -> str:
