@@ -67,6 +67,7 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
     time_s = snapped_times(table.time_s, rate_hz)
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
     run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
+    run = replace(run, flags=(*table.flags, *run.flags))
     if step_s * rate_hz > OVERSAMPLED:
         text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
                 f"times, and intervals are too narrow; set rate_hz = {1.0 / step_s:.3g} under [sampling]")

@@ -5,7 +5,8 @@ import pytest
 
 from daq.dataset import Dataset
 from daq.errors import InputError
-from daq.looks import Look, look, unwrapped_counter
+from daq.looks import Look, look
+from daq.runs.counter import unwrapped_counter
 from daq.runs.csv_run import RawTable
 from daq.timing.resample import align_table
 
