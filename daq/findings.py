@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
-FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock", "readings"]
+FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock",
+                   "readings"]
 FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal"]
 RemedyKind = Literal["left_out", "unwrapped", "joined", "kept"]
 

@@ -18,8 +18,8 @@ from daq.looks.plateaus import flat_tops, frozen_noise, plateaus_of, repeats
 ANGLE = re.compile(r"q\d+_(rad|m)|q2_motor_rad")
 TORQUE = re.compile(r"tau\d+_(nm|n)|tau2_shunt_nm")
 IMU = re.compile(r"gyro\d*_radps|accel\d*_[xy]_mps2")
-PAUSE_PERIODS = 2.5
-"""Behind a longer pause an angle may be elsewhere."""
+PAUSE_PERIODS, AROUND_PAUSE = 1.5, 2
+"""Behind a longer pause an angle may be elsewhere, and so many stamps next to it may be late."""
 MOST_ISOLATED, MOST_STEPS = 0.02, 10
 """Share of isolated wrong readings, and number of steps, beyond which a column is refused."""
 DENORMAL = 1e-300
@@ -46,8 +46,8 @@ class _Found(NamedTuple):
 
 
 def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a run") -> Look:
-    """Columns (n,) at `time_s` (n,) with their faults: angles unwrapped, wrong readings left out, steps of the zero taken
-    back. Columns that are no reading (commands, temperatures, a user's own) stay as they are.
+    """Columns (n,) at `time_s` (n,) with their faults: angles unwrapped, wrong readings left out, steps of the zero
+    taken back. Columns that are no reading (commands, temperatures, a user's own) stay as they are.
 
     Raises `InputError` naming `where` for a column that holds two series in turn, or too many jumps.
     """
@@ -100,9 +100,10 @@ def _look_at_torque(name: str, time_s: FloatArray, x: FloatArray, where: str) ->
     tiny = (x != 0.0) & (np.abs(x) < DENORMAL)
     if tiny.any():
         rows = _places(tiny)
-        text = f"{name} holds {int(tiny.sum())} readings below {DENORMAL:g}: memory that nobody wrote to, taken for zero"
-        return _Found(np.where(tiny, 0.0, x), [ReadingFault(name, "denormal", rows, float(np.abs(x).max()), "kept",
-                                                            text)], none)
+        text = (f"{name} holds {int(tiny.sum())} readings below {DENORMAL:g}: memory that nobody wrote to, taken for "
+                "zero")
+        fault = ReadingFault(name, "denormal", rows, float(np.abs(x[tiny]).max()), "kept", text)
+        return _Found(np.where(tiny, 0.0, x), [fault], none)
     return _clipped(name, x)
 
 
@@ -140,8 +141,8 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
     wraps = unwrapped(x) if name.endswith("_rad") else None
     if wraps is not None:
         x, modulus, at = wraps
-        text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a wrapped "
-                "angle, unwrapped")
+        text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a "
+                "wrapped angle, unwrapped")
         faults.append(ReadingFault(name, "wrapped", tuple((k, k) for k in at.tolist()), modulus, "unwrapped", text))
     if take_turns(x):
         raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
@@ -160,7 +161,8 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
 
 def _jumps(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
     period = float(np.median(np.diff(time_s)))
-    jumps = find_jumps(x, np.diff(time_s) > PAUSE_PERIODS * period)
+    pause = np.diff(time_s) > PAUSE_PERIODS * period
+    jumps = find_jumps(x, np.convolve(pause, np.ones(2 * AROUND_PAUSE + 1))[AROUND_PAUSE:][:pause.size] > 0.5)
     if len(jumps.isolated) > MOST_ISOLATED * x.size or len(jumps.steps) > MOST_STEPS:
         first = min([place for place, _ in (*jumps.isolated, *jumps.steps)])
         raise InputError(f"{where}, column {name}", f"jumps {len(jumps.isolated) + len(jumps.steps)} times as no joint "

@@ -23,9 +23,9 @@ UNKNOWN_WRAPS = 3
 LONGEST_ISOLATED = 3
 RATE_SHARE = 97.0
 """Percentile of the column's steps that is its usual fastest one."""
-FASTEST, CHANGES, SMALLEST, NEIGHBOURS = 2.5, 12.0, 20.0, 4.0
+FASTEST, CHANGES, SMALLEST, NEIGHBOURS = 1.5, 12.0, 20.0, 4.0
 """A jump is none of a joint if it exceeds so many times the fastest step, the usual change of steps, the smallest step,
-and the changes of its neighbours."""
+and the changes of its neighbours. (An impact that reverses the speed moves a reading by one fastest step at most.)"""
 HELD_ROWS = 4
 """Equal readings in front of a jump, at least, that were a frozen sensor."""
 NEAR_LAGS, IN_TURN, IN_TURN_TIMES = 4, 0.1, 10.0

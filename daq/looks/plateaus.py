@@ -71,7 +71,7 @@ def flat_tops(x: FloatArray) -> list[float]:
     found, places, step = [], plateaus_of(x), smallest_step(x)
     for level in (bottom, top):
         on = (places.value == level) & (places.length > 1)
-        cut = [k for k in np.flatnonzero(on) if _height(x, places, k) > ABOVE_STEPS * step]
+        cut = [k for k in np.flatnonzero(on).tolist() if _height(x, places, k) > ABOVE_STEPS * step]
         samples = int(places.length[cut].sum())
         if level != 0.0 and samples >= max(LEAST_FLAT, FLAT_SHARE * x.size) and places.length[cut].max() > 2:
             found.append(level)

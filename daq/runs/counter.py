@@ -36,8 +36,9 @@ class Unwrapped(NamedTuple):
     def flag(self, column: str) -> Flag:
         """What was corrected, for a person."""
         often = f"{self.rows.size} times" if self.rows.size > 1 else "once"
-        return Flag("readings", f"{column} wraps {often} by {self.modulus:.10g} (first in row {int(self.rows[0]) + 1}), "
-                    "as a counter or a time of day does: it goes on")
+        first = int(self.rows[0]) + 1
+        return Flag("readings", f"{column} wraps {often} by {self.modulus:.10g} (first in row {first}), as a counter "
+                    "or a time of day does: it goes on")
 
 
 def unwrapped_counter(time: FloatArray, unit_s: float = 1.0) -> Unwrapped | None:

@@ -140,8 +140,8 @@ def wrong_scale(datasets: Sequence[Dataset], lever_arm: float, gravity: float, h
     as_read = judged(0.0)
     if abs(best.factor - 1.0) < LEAST_SCALE or not CLEAR * best.left < as_read.left:
         return ""
-    return (f"the gyro reads about {1.0 / best.factor:.2f} times the rate by which the accelerometer turns (scale error "
-            f"{1.0 / best.factor - 1.0:+.2f}): check the gyro's sensitivity in its data sheet, set name = \"{GYRO}\", "
+    return (f"the gyro reads about {1.0 / best.factor:.2f} times the rate by which the accelerometer turns (scale "
+            f"error {1.0 / best.factor - 1.0:+.2f}): check its sensitivity in the data sheet, set name = \"{GYRO}\", "
             f"scale = {best.factor:.3g} under [columns.{GYRO}], and run legid diagnose, which measures the error; "
             f"with it {_fall(as_read.left, best.left)}")
 

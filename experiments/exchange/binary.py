@@ -50,7 +50,10 @@ def _objects(value: object) -> Iterator[tuple[str, str]]:
 
 
 def read_parquet(path: Path) -> ImportedFile:
-    """Columns of numbers of a Parquet file, those of a list called as in `nested`; null is NaN. Raises `InputError`, and what PyArrow raises."""
+    """Columns of numbers of a Parquet file, those of a list called as in `nested`; null is NaN.
+
+    Raises `InputError`, and what PyArrow raises.
+    """
     try:
         from pyarrow import parquet, set_memory_pool, system_memory_pool, types
     except ImportError:

@@ -153,8 +153,8 @@ def _told(wrong: Sequence[Wrong]) -> str:
 
 def _channels(imported: ImportedFile, columns: ColumnMap,
               rate_hz: float | None) -> tuple[list[TimedColumns], list[Wrong], tuple[Flag, ...]]:
-    """Columns in SI units, those of the same times together; times count from the first. The rows left out, and what was
-    corrected in the times."""
+    """Columns in SI units, those of the same times together; times count from the first. The rows left out, and what
+    was corrected in the times."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
     wrong: list[Wrong] = []

@@ -59,7 +59,8 @@ LEAST = 1e-300
 """Smaller numbers are memory that nobody wrote to, read as a double."""
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
-TIME_NAMES = r"^_*(time|t|timestamp|stamp|sec|seconds|zeit(?:stempel)?|clock|millis|micros|time_.*|t_.*|.*timestamp.*|.*time)$"
+TIME_NAMES = (r"^_*(time|t|timestamp|stamp|sec|seconds|zeit(?:stempel)?|clock|millis|micros|time_.*|t_.*|"
+              r".*timestamp.*|.*time)$")
 STEP_S = (0.0002, 0.1)
 """Steps between which a log of a leg lies: they tell seconds from milliseconds."""
 UNNAMED = re.compile(r"column \d+")
@@ -236,7 +237,8 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
     what = f"{last}: measured, and computed from the motion [N m]" if last else \
         "acceleration: measured, and computed from gravity and friction [rad/s²]"
     maybe = [] if driven else _maybe_torques(imported)
-    return Guess(theirs, reasons | found.notes, [*found.warnings, *maybe], found.unexplained, apply_map(imported, theirs), {what: found.check})
+    return Guess(theirs, reasons | found.notes, [*found.warnings, *maybe], found.unexplained,
+                 apply_map(imported, theirs), {what: found.check})
 
 
 def _maybe_torques(imported: ImportedFile) -> list[str]:
@@ -252,8 +254,8 @@ def _wrenches(imported: ImportedFile) -> list[str]:
     moments = [name for name in axes if re.search("torque|moment|/m[xyz]", name, re.IGNORECASE)]
     if not axes:
         return []
-    return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the torque "
-            "of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
+    return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the "
+            "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
 
 
 def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:

@@ -107,8 +107,8 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     what = "the torques" if torques else "the accelerations"
     warnings = [text for name in torques for text in scale_warnings(name, columns[name])]
     if not torques:
-        warnings.append("no torque: the joints swing freely. Write actuated = [] under [mechanism], and give legid fit one "
-                        "parameter with --fix: without a torque only ratios show")
+        warnings.append("no torque: the joints swing freely. Write actuated = [] under [mechanism], and give legid fit "
+                        "one parameter with --fix: without a torque only ratios show")
     if first.left > EXPLAINS:
         named = ", ".join(repr(columns[name].name) for name in angles)
         why = (f"no unit and signs of {named} explain {what} (the best leave {100 * first.left:.0f} %): too "

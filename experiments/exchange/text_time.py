@@ -15,8 +15,7 @@ _POINTS = r"(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4})"
 _SLASHES = r"(?P<first>\d{1,2})/(?P<second>\d{1,2})/(?P<year>\d{4})"
 _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?)"
 _ZONE = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2})?"
-FORMS = tuple(re.compile(rf"{day}[T\s]\s*{_CLOCK}{_ZONE}") for day in (_ISO, _POINTS, _SLASHES)) + (
-    re.compile(_CLOCK),)
+FORMS = (*(re.compile(rf"{day}[T\s]\s*{_CLOCK}{_ZONE}") for day in (_ISO, _POINTS, _SLASHES)), re.compile(_CLOCK))
 """A date by its mark, and a time of day; the last: a time of day alone, which may go over midnight."""
 EPOCH = date(1970, 1, 1)
 MOST_WRONG = 0.05

@@ -62,6 +62,15 @@ def describe_csv(table: RawTable) -> str:
     return "\n".join([*lines, *[f"not numbers, ignored: {ignored}"] * bool(ignored), *readings])
 
 
+def recorded_readings(raw: RawRun) -> list[str]:
+    """The same of a native run; empty where it cannot be timed."""
+    try:
+        channels = decode(raw, recorded_rig(raw)).channels
+        return [str(fault) for one in channels for fault in look(one.time_s, one.columns, raw.name).faults]
+    except InputError:
+        return []
+
+
 def readings_of(table: RawTable) -> list[str]:
     """What its readings cannot be, in sentences; empty for sound ones."""
     try:

@@ -105,6 +105,14 @@ def test_a_pause_may_end_elsewhere() -> None:
     assert not look(T + 2.0 * behind, {"q1_rad": angle + 0.4 * behind}).faults
 
 
+def test_a_stamp_next_to_a_pause_may_be_late() -> None:
+    """As on a public record: the step in the readings comes one sample behind the pause in the stamps."""
+    fast = 20.0 * T
+    time = T + np.where(np.arange(T.size) >= 1600, 3.0 / RATE_HZ, 0.0)
+    angle = np.sin(fast) + np.where(np.arange(T.size) >= 1602, 3.0 * 20.0 / RATE_HZ, 0.0)
+    assert not look(time, {"q1_rad": angle}).faults
+
+
 def test_a_sensor_that_hangs_is_left_out() -> None:
     angle = motion(size=3.0)
     angle[1020:1080] = angle[1020]
@@ -147,7 +155,7 @@ def test_two_senders_in_turn_are_refused(order: np.ndarray) -> None:
 
 def test_an_encoder_that_jumps_all_the_time_is_refused() -> None:
     angle = motion() + np.cumsum(np.where(np.random.default_rng(8).random(T.size) < 0.01, 1.0, 0.0))
-    with pytest.raises(InputError, match="jumps .* times as no joint can"):
+    with pytest.raises(InputError, match="times as no joint can"):
         look(T, {"q1_rad": angle})
 
 

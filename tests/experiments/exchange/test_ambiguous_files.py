@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from experiments.cli import main
 from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.column_map import load_map
-from tests.experiments.exchange.test_text_time import pendulum
+from tests.support.imported_files import pendulum
 
 
 def table(path: Path, **columns: np.ndarray) -> Path:
@@ -112,7 +112,8 @@ def test_lists_in_parquet_are_columns(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"timestamp": np.arange(40) * 0.02, "observation.state": fixed,
                                   "action": pa.array(state.tolist()), "task": ["lift"] * 40}), tmp_path / "e.parquet")
     found = read_parquet(tmp_path / "e.parquet")
-    assert found.names == ["timestamp", *(f"{name}[{k}]" for name in ("observation.state", "action") for k in (1, 2, 3))]
+    lists = [f"{name}[{k}]" for name in ("observation.state", "action") for k in (1, 2, 3)]
+    assert found.names == ["timestamp", *lists]
     np.testing.assert_allclose(found.table_of("observation.state[2]").columns["observation.state[2]"], state[:, 1])
     assert found.left_out == {"task": "holds string, no column of numbers"}
 
@@ -125,8 +126,8 @@ def test_objects_of_matlab_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: {"tout": np.arange(60.0), "None": MatlabOpaque(held)})
     found = read_mat(tmp_path / "x.mat")
     assert found.names == ["tout"]
-    assert found.left_out == {"Theta1": "is a MATLAB timeseries object, which only MATLAB can read: save struct(Theta1) "
-                                        "or Theta1.Data instead"}
+    assert found.left_out == {"Theta1": "is a MATLAB timeseries object, which only MATLAB can read: save "
+                                        "struct(Theta1) or Theta1.Data instead"}
 
 
 def test_a_file_of_another_program_is_sent_to_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

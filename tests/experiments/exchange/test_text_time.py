@@ -8,6 +8,7 @@ import pytest
 from experiments.cli import main
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.text_time import read_times
+from tests.support.imported_files import pendulum
 
 
 @pytest.mark.parametrize(("cells", "seconds"), [
@@ -28,14 +29,6 @@ def test_dates_and_times_of_day_become_seconds(cells: list[str], seconds: list[f
                                    ["2026-01-01 00:00:00", "ok", "off"]])
 def test_words_are_no_times(cells: list[str]) -> None:
     assert read_times(cells) is None
-
-
-def pendulum(rows: int = 1200, rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times [s], angle [rad] and torque [N m] of a driven pendulum."""
-    t = np.arange(rows) / rate_hz
-    q = 0.8 * np.sin(2.1 * t) + 0.5 * np.sin(5.3 * t + 1.0)
-    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    return t, q, 0.05 * qdd + 0.02 * qd + 1.2 * np.sin(q)
 
 
 def written(path: Path, head: str, stamps: list[str], *columns: np.ndarray, separator: str = ",") -> Path:
