@@ -144,9 +144,6 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
         text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a "
                 "wrapped angle, unwrapped")
         faults.append(ReadingFault(name, "wrapped", tuple((k, k) for k in at.tolist()), modulus, "unwrapped", text))
-    if take_turns(x):
-        raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
-                         "other reading is near", "write each sender into a column of its own")
     times = repeats(x)
     if times > 1:
         places = plateaus_of(x)
@@ -155,6 +152,9 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
         text = f"{name} repeats each reading {times} times: it is sampled more slowly. The repeats are left out"
         faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
         return _Found(np.where(again, np.nan, x), faults, none)
+    if take_turns(x):
+        raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
+                         "other reading is near", "write each sender into a column of its own")
     found = _jumps(name, time_s, x, where)
     return _Found(found.x, [*faults, *found.faults], found.unknown)
 

@@ -12,7 +12,10 @@ from daq.looks.plateaus import smallest_step
 
 TURNS = tuple(2.0 * np.pi / k for k in (1, 2, 3, 4))
 """Ranges over which an angle in rad is usually wrapped."""
-NEAR_TURN = 0.02
+NEAR_TURN = 0.01
+"""A wrap is as large as its range to this share, and to the column's usual changes of its steps."""
+MOST_OTHERS = 2
+"""Large jumps in addition to the wraps, at most, or as many as there are wraps."""
 SPAN_SHARE = 0.7
 """A wrap moves the reading by more than this share of the column's range."""
 EDGE_STEPS, EDGE_SHARE, MOST_EDGE = 4.0, 0.02, 0.3
@@ -46,7 +49,7 @@ class Jumps(NamedTuple):
 def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | None:
     """x (n,) without wraps, the range of the wraps, and the first sample behind each; None where x does not wrap.
 
-    Every large jump must lead from one end of the range to the other, by one and the same amount.
+    A wrap leads from one end of the range to the other. Large jumps that do not are left to other looks.
     """
     steps, span = np.diff(x), float(np.ptp(x))
     big = np.abs(steps) > SPAN_SHARE * span
@@ -57,23 +60,22 @@ def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | Non
     smooth = np.where(big, 0.0, steps)
     expected = 0.5 * (smooth[np.maximum(at - 1, 0)] + smooth[np.minimum(at + 1, steps.size - 1)])
     jumps = steps[at] - expected
-    modulus = float(np.median(np.abs(jumps)))
-    turn = min(TURNS, key=lambda one: abs(one - modulus))
-    if abs(turn - modulus) < NEAR_TURN * turn:
-        modulus = turn
-    elif at.size < UNKNOWN_WRAPS:
-        return None
-    slack = EDGE_STEPS * usual + EDGE_SHARE * modulus
-    if slack > MOST_EDGE * modulus:
-        return None
-    before, behind = x[at], x[at + 1]
-    low, high = np.minimum(before, behind), np.maximum(before, behind)
-    at_ends = (low - x.min() <= slack) & (x.max() - high <= slack)
-    if not (at_ends & (np.abs(np.abs(jumps) - modulus) <= slack)).all() or span > modulus + slack:
-        return None
-    turned = np.zeros(x.size)
-    turned[at + 1] = np.sign(jumps)
-    return x - modulus * np.cumsum(turned), modulus, at + 1
+    change = CHANGES * float(np.percentile(np.abs(np.diff(steps[~big])), RATE_SHARE))
+    middle = np.sort(np.stack([x[:-2], x[1:-1], x[2:]]), axis=0)[1]  # without single readings
+    low = np.minimum(x[at], x[at + 1]) - middle.min()
+    high = middle.max() - np.maximum(x[at], x[at + 1])
+    for modulus in (*TURNS, float(np.median(np.abs(jumps)))):
+        slack = EDGE_STEPS * usual + EDGE_SHARE * modulus
+        off = np.abs(np.abs(jumps) - modulus)
+        fits = (off <= min(change + NEAR_TURN * modulus, slack)) & (np.abs(low) <= slack) & (np.abs(high) <= slack)
+        known, count = modulus in TURNS, int(fits.sum())
+        few = count < (1 if known else UNKNOWN_WRAPS) or at.size - count > max(count, MOST_OTHERS)
+        if few or slack > MOST_EDGE * modulus or np.ptp(middle) > modulus + slack:
+            continue
+        turned = np.zeros(x.size)
+        turned[at[fits] + 1] = np.sign(jumps[fits])
+        return x - modulus * np.cumsum(turned), modulus, at[fits] + 1
+    return None
 
 
 def find_jumps(x: FloatArray, apart: NDArray[np.bool_]) -> Jumps:

@@ -24,9 +24,9 @@ MOVED_STEPS = 3.0
 """A column moves between two plateaus that differ by more than so many of its smallest steps."""
 FROZEN_ROWS = 10
 """Readings of a noisy column that are equal in a row, at least, when its sensor hangs."""
-NOISY, TURNING = 0.05, 0.3
-"""A column's noise moves its last digit where a smaller share of its neighbours is equal than the first, and a larger
-share of its steps than the second turns back. (White noise: two thirds.)"""
+NOISY, USUAL_ROWS = 0.05, 4
+"""A column's noise moves its last digit where a smaller share of its neighbours is equal. It then has few plateaus
+between this length and that of a sensor that hangs: a smooth column has plateaus of every length at its peaks."""
 
 
 class Plateaus(NamedTuple):
@@ -108,7 +108,7 @@ def frozen_noise(x: FloatArray) -> list[tuple[int, int]]:
     long = places.length >= FROZEN_ROWS
     others = x.size - int(places.length[long].sum())
     equal = int((places.length[~long] - 1).sum())
-    steps = np.diff(places.value)
-    if others < LEAST_ROWS or equal > NOISY * others or np.mean(steps[1:] * steps[:-1] < 0.0) < TURNING:
+    between = int(((places.length >= USUAL_ROWS) & ~long).sum())
+    if others < LEAST_ROWS or equal > NOISY * others or between > long.sum():
         return []
     return list(zip(places.start[long].tolist(), places.stop[long].tolist()))

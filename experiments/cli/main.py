@@ -97,7 +97,7 @@ def build_parser() -> Parser:
         for name in names:
             import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
         if names:
-            line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)  # type: ignore[attr-defined]
+            line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)
             subparsers._choices_actions.insert(before, line)
     for command in subparsers.choices.values():
         add_verbosity(command)

@@ -198,11 +198,11 @@ def test_a_counter_that_wraps_goes_on(modulus: float, period: float) -> None:
 
 def test_a_counter_in_its_own_unit_wraps_by_its_bits() -> None:
     ticks = (2.0**32 - 1e4 + 1000.0 * np.arange(50)) % 2.0**32
-    found = unwrapped_counter(ticks, 1e-6)
+    found = unwrapped_counter(np.asarray(ticks, np.float64), 1e-6)
     assert found is not None and found[1] == 2.0**32
 
 
 @pytest.mark.parametrize("time", [np.arange(50.0), np.append(np.arange(30.0), np.arange(10.0, 30.0)),
                                   np.random.default_rng(1).random(50)])
 def test_times_that_increase_or_are_unsorted_are_no_counter(time: np.ndarray) -> None:
-    assert unwrapped_counter(time) is None
+    assert unwrapped_counter(np.asarray(time, np.float64)) is None
