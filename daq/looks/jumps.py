@@ -38,7 +38,7 @@ IN_TURN_SPAN = 0.05
 
 
 class Jumps(NamedTuple):
-    """Where a column jumps."""
+    """Places at which a column jumps."""
 
     isolated: list[tuple[int, int]]
     """[start, stop) of readings that are off, with good ones on both sides."""

@@ -88,7 +88,7 @@ def _height(x: FloatArray, places: Plateaus, k: int) -> float:
 
 
 def repeats(x: FloatArray) -> int:
-    """How often each reading of x (n,) stands while the column moves; 1 where readings are not repeated."""
+    """Number of samples for which each reading of x (n,) stands while the column moves; 1 without repeats."""
     places = plateaus_of(x)
     if places.start.size < LEAST_RUNS:
         return 1

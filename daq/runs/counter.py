@@ -34,7 +34,7 @@ class Unwrapped(NamedTuple):
     """First row behind each wrap."""
 
     def flag(self, column: str) -> Flag:
-        """What was corrected, for a person."""
+        """A sentence on the correction, as a flag."""
         often = f"{self.rows.size} times" if self.rows.size > 1 else "once"
         first = int(self.rows[0]) + 1
         return Flag("readings", f"{column} wraps {often} by {self.modulus:.10g} (first in row {first}), as a counter "

@@ -72,7 +72,7 @@ def recorded_readings(raw: RawRun) -> list[str]:
 
 
 def readings_of(table: RawTable) -> list[str]:
-    """What its readings cannot be, in sentences; empty for sound ones."""
+    """Faults of its readings, in sentences; empty for sound ones."""
     try:
         return list(map(str, look(table.time_s, table.columns, table.name).faults))
     except InputError as error:

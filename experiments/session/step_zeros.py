@@ -1,4 +1,4 @@
-"""Which part of a run has the right zero, where an encoder's zero has changed within it: the motion decides."""
+"""Runs in which an encoder's zero has changed: the motion decides which part has the right one."""
 
 from __future__ import annotations
 

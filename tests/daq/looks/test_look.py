@@ -191,7 +191,7 @@ def test_a_flat_top_is_a_gap_on_every_grid() -> None:
 @pytest.mark.parametrize(("modulus", "period"), [(2.0**32 * 1e-6, 0.004), (65.536, 0.01), (86400.0, 1.0)])
 def test_a_counter_that_wraps_goes_on(modulus: float, period: float) -> None:
     time = modulus - 30.5 * period + period * np.arange(100)
-    found = unwrapped_counter(time % modulus)
+    found = unwrapped_counter(np.asarray(time % modulus, np.float64))
     assert found is not None and found[1] == pytest.approx(modulus) and found[2].tolist() == [31]
     np.testing.assert_allclose(np.diff(found[0]), period, rtol=1e-5)
 
