@@ -115,9 +115,11 @@ def _clipped(name: str, x: FloatArray) -> _Found:
     told = f"+-{levels[1]:.6g}" if len(levels) > 1 and levels[0] == -levels[1] else \
         " and ".join(f"{level:.6g}" for level in levels)
     text = (f"{name} stands at exactly {told} {_unit(name)} in {100.0 * at.mean():.2g} % of the samples (first in row "
-            "{row}): the end of a sensor's range, or a drive's limit. These samples are left out")
+            "{row}): the end of a sensor's range, or a drive's limit. They and their neighbours are left out")
     fault = ReadingFault(name, "clipped", _places(at), max(map(abs, levels)), "left_out", text)
-    return _Found(np.where(at, np.nan, x), [fault], at)
+    # A neighbour is there only because its noise kept it below the limit: with it, estimates are biased low.
+    near = np.convolve(at, np.ones(3))[1:-1] > 0.5
+    return _Found(np.where(near, np.nan, x), [fault], near)
 
 
 def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:

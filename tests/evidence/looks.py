@@ -10,6 +10,7 @@ import argparse
 import tempfile
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -61,6 +62,7 @@ def found_in_records(folder: Path) -> tuple[int, list[str]]:
     return len(files), found
 
 
+@cache
 def leg_run(seed: int, number: int = 0) -> Dataset:
     """MuJoCo's run of a leg drawn by `seed`."""
     leg, rng = random_leg(np.random.default_rng(seed)), np.random.default_rng([seed, number])
