@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families looks trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -189,6 +189,10 @@ trust: $(STAMP)
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.
 payloads: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence payloads --minutes $(or $(MINUTES),30) --out docs/evidence/payloads.md
+
+# Looks at healthy readings, readings with faults put in, and fits of legs whose torque is clipped: ten minutes.
+looks: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence looks --out docs/evidence/looks.md
 
 # Real records next to the checkout, with minimal rig files, and records with an error put in: a quarter of an hour.
 untuned: $(STAMP)

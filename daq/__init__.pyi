@@ -11,6 +11,7 @@ from .files import replacing_anything as replacing_anything
 from .files import write_file as write_file
 from .findings import Damage as Damage
 from .findings import Flag as Flag
+from .findings import ReadingFault as ReadingFault
 from .findings import Steps as Steps
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.findings import Damage, Flag, Steps
+from daq.findings import Damage, Flag, ReadingFault, Steps
 
 if TYPE_CHECKING:
     from daq.rig import Rig
@@ -40,6 +40,8 @@ class Dataset:
     """Ways in which its file is not what was recorded; empty for a whole one."""
     flags: tuple[Flag, ...] = ()
     """What in it cannot be true of one IMU on one leg."""
+    readings: tuple[ReadingFault, ...] = ()
+    """Readings that no device can give, and what was done with them."""
     steps: Steps | None = None
     """The touchdowns by which a walker's run was cut."""
     recorded_on: Rig | None = None

@@ -1,4 +1,4 @@
-"""Findings about a run in addition to its samples: damage of its file, flags, steps of a walker."""
+"""Findings about a run in addition to its samples: damage of its file, flags, faults of readings, steps of a walker."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
-FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock"]
+FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock",
+                   "readings"]
+FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal"]
+RemedyKind = Literal["left_out", "unwrapped", "joined", "kept"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,30 @@ class Flag:
     kind: FlagKind
     text: str
     """For a person, one sentence."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class ReadingFault:
+    """Readings of one column that the device cannot have measured, and what was done with them."""
+
+    column: str
+    what: FaultKind
+    rows: tuple[tuple[int, int], ...]
+    """First and last sample of each place, counted from 1."""
+    size: float
+    """The level, the jump or the error, in the column's unit; for repeats how often each reading stands."""
+    done: RemedyKind
+    text: str
+    """For a person, one sentence."""
+
+    @property
+    def document(self) -> dict[str, object]:
+        """For the JSON documents."""
+        return {"column": self.column, "what": self.what, "rows": [list(place) for place in self.rows],
+                "size": self.size, "done": self.done, "text": self.text}
 
     def __str__(self) -> str:
         return self.text

@@ -160,7 +160,7 @@ class Sampling(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Timing(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known of the times between a stamp and what it stamps."""
+    """Times between a stamp and what it stamps, as far as they are known."""
 
     torque_delay_s: tuple[float, float] | None = None
     """How long after its stamp, beyond its hold, a torque acts, and the standard deviation of that."""

@@ -65,7 +65,7 @@ FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_no
                       "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
                       "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
                       "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
-                      "omitted_effect",
+                      "omitted_effect", "sensor_scale",
                       "not_shown"]
 
 

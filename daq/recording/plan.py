@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,12 +73,16 @@ class Plan:
         return out.getvalue()
 
 
-def read_plan(path: Path | str) -> Plan:
-    """Plan from CSV, checked like a run: raises `InputError` naming file, line and column."""
+def read_plan(path: Path | str, measured: Sequence[str] = ()) -> Plan:
+    """Plan from CSV, checked like a run; of a run without commands the first of its columns `measured`.
+
+    Raises `InputError` naming file, line and column.
+    """
     table = read_csv(path, min_samples=2)
-    if COLUMN not in table.columns:
+    column = next((name for name in (COLUMN, *measured) if name in table.columns), None)
+    if column is None:
         raise InputError(f"{path}, line 1", f"column {COLUMN} is missing", "add the torque to command in N m")
-    return Plan(table.time_s, table.columns[COLUMN])
+    return Plan(table.time_s, table.columns[column])
 
 
 def write_plan(plan: Plan, path: Path | str) -> None:

@@ -8,6 +8,8 @@ from .columns import VOLTAGE as VOLTAGE
 from .columns import imu_columns_of as imu_columns_of
 from .columns import is_contract_column as is_contract_column
 from .columns import missing as missing
+from .counter import restart_remedy as restart_remedy
+from .counter import unwrapped_counter as unwrapped_counter
 from .csv_run import CLOCK_BOUND as CLOCK_BOUND
 from .csv_run import MIN_SAMPLES as MIN_SAMPLES
 from .csv_run import MOST as MOST

@@ -61,8 +61,11 @@ def missing(rig: Rig, present: Collection[str]) -> Missing | None:
                 if f"q{joint}_cmd_rad" in present:
                     continue
                 return Missing(f"q{joint}_cmd_rad", "add the angle that the servo was commanded in rad, for [servo]")
+            if f"q{joint}_cmd_rad" in present:
+                return Missing(f"tau{joint}_nm", f"declare the servo that q{joint}_cmd_rad commands by [servo], or "
+                                                 f"add the torque of joint {joint} in N m")
             return Missing(f"tau{joint}_nm", f"add the torque of joint {joint} in N m, "
-                                             f"or take {joint} out of actuated in the rig file")
+                                             f"or take {joint} out of actuated if it has no motor")
     return None
 
 
@@ -129,4 +132,6 @@ def _missing_joint1(rig: Rig, present: Collection[str]) -> Missing | None:
         return None
     if {"duty", "volts"} <= set(present):
         return Missing(torque, 'a servo driven by voltage needs input = "voltage" under [mechanism]')
+    if "q1_cmd_rad" in present:
+        return Missing(torque, "declare the servo that q1_cmd_rad commands by [servo], or add the joint's torque")
     return Missing(torque, "joint 1 is listed as actuated: add its measured torque or force")

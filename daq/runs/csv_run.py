@@ -18,8 +18,10 @@ import numpy as np
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
 from daq.files import read_bytes, write_file
+from daq.findings import Flag
 from daq.rig import Rig
-from daq.runs.columns import known, missing
+from daq.runs.columns import is_contract_column, known, missing
+from daq.runs.counter import restart_remedy, unwrapped_counter
 
 MIN_SAMPLES = 50
 CLOCK_BOUND = "clock_bound_s"
@@ -45,6 +47,8 @@ class RawTable:
     """Every numeric column but the time, (n,) each, finite."""
     ignored: tuple[str, ...] = ()
     """Columns of the user's own that hold anything but numbers, left out."""
+    flags: tuple[Flag, ...] = ()
+    """What was corrected in its times."""
 
 
 def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SAMPLES) -> RawTable:
@@ -63,9 +67,12 @@ def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SA
         raise InputError(str(path), f"holds {table.shape[0]} samples, at least {min_samples} are needed",
                          "record for longer")
     columns = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(kept)}
-    time_s = columns.pop("time_s")
+    time_s, flags = columns.pop("time_s"), tuple[Flag, ...]()
+    goes_on = unwrapped_counter(time_s)
+    if goes_on is not None:
+        time_s, flags = goes_on.time, (goes_on.flag("time_s"),)
     _check_time(path, time_s, names, body)
-    return RawTable(path.name, time_s, columns, tuple(name for name in names if name not in kept))
+    return RawTable(path.name, time_s, columns, tuple(name for name in names if name not in kept), flags)
 
 
 def write_csv(dataset: Dataset, path: Path | str, replace: bool = False) -> int:
@@ -150,6 +157,9 @@ def _check_columns(path: Path, names: list[str], rig: Rig | None) -> None:
         column, remedy = lacking
     else:
         return
+    if not any(map(is_contract_column, names)):
+        raise InputError(f"{path}, line 1", f"column {column} is missing, and no name is a run's: it is another "
+                         "program's file", f"run: legid import {path} --map columns.toml --guess")
     close = difflib.get_close_matches(column, [n for n in names if n not in known(rig, names)], 1, 0.6)
     if close:
         remedy = f"rename {close[0]} to {column} if that is what it holds, in SI units"
@@ -229,6 +239,7 @@ def _check_time(path: Path, time_s: FloatArray, names: list[str], body: str) -> 
     for (_, before), (line, cells) in pairwise(_lines(path, body)):
         t0, t1 = before[column].strip(), cells[column].strip()
         if float(t1) - float(t0) < LEAST_STEP_S:
-            fault = f"time repeats ({t1})" if float(t1) >= float(t0) else f"time runs backwards ({t0} then {t1})"
-            raise InputError(f"{path}, line {line}, column time_s", fault,
+            back = float(t1) < float(t0)
+            fault = f"time runs backwards ({t0} then {t1})" if back else f"time repeats ({t1})"
+            raise InputError(f"{path}, line {line}, column time_s", fault, restart_remedy(time_s, f"line {line}") or
                              "sort the rows by time and keep one row a sample")

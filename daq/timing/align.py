@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
 from daq.findings import Flag
+from daq.looks import look
 from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
@@ -21,7 +22,7 @@ from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
-from daq.timing.resample import TimedColumns, align_channels, own_rate
+from daq.timing.resample import TimedColumns, align_channels, flags_of_readings, own_rate, reached
 
 RAIL = 32_767
 """Counts of 16 bits at the end of an axis's range."""
@@ -116,10 +117,15 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
         others = [channel for channel in found.channels if channel is not sampled]
         dataset = align_channels(raw.name, [*others, split.commanded], rate)
         torque = dataset.columns["tau2_nm"] + split.residual_on(dataset.time_s, 1.0 / rate)
-        dataset = replace(dataset, columns={**dataset.columns, "tau2_nm": torque})
+        seen = look(sampled.time_s, sampled.columns, raw.name)
+        if "tau2_nm" in seen.left_out:
+            torque[reached(dataset.time_s, sampled.time_s, seen.left_out["tau2_nm"], 0.5 / rate)] = np.nan
+        dataset = replace(dataset, columns={**dataset.columns, "tau2_nm": torque},
+                          flags=(*dataset.flags, *flags_of_readings(seen.faults)),
+                          readings=(*dataset.readings, *seen.faults))
     if len(dataset) < MIN_SAMPLES:
         raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
-    own, flagged = None, found.flags
+    own, flagged = None, (*found.flags, *dataset.flags)
     try:
         own = recorded_rig(raw) if "rig.toml" in raw.files else None
     except InputError as error:

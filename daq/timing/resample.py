@@ -14,15 +14,17 @@ pause of a fast logger that is shorter than the grid's step hides nothing that t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.findings import Flag
+from daq.findings import Flag, ReadingFault
+from daq.looks import look
 from daq.runs import CLOCK_BOUND, RawTable
 
 if TYPE_CHECKING:
@@ -72,6 +74,7 @@ def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
                          "[sampling]")
     time_s = snapped_times(table.time_s, rate_hz)
     run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
+    run = replace(run, flags=(*table.flags, *run.flags))
     if step_s * rate_hz > OVERSAMPLED:
         text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
                 f"times, and intervals are too narrow; take rate_hz out of [sampling]")
@@ -87,7 +90,8 @@ def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
 def align_channels(name: str, channels: list[TimedColumns], rate_hz: float) -> Dataset:
     """Channels, each at its own times, on one grid over the time that all of them cover.
 
-    Raises `InputError` when the times span so much that the grid would be empty nearly everywhere.
+    Each column is looked at before (`daq.looks`), so that no filter spreads a wrong reading. Raises `InputError` when
+    the times span so much that the grid would be empty nearly everywhere, and as `look`.
     """
     channels = [channel for channel in channels if channel.time_s.size]
     averaged = any(_rate(channel.time_s) >= OVERSAMPLED * rate_hz for channel in channels)
@@ -101,10 +105,33 @@ def align_channels(name: str, channels: list[TimedColumns], rate_hz: float) -> D
                          "check that time_s is in seconds and that no time is far off")
     grid = start + np.arange(count) / rate_hz
     columns: dict[str, FloatArray] = {}
+    faults: list[ReadingFault] = []
     for channel in channels:
-        for column, values in channel.columns.items():
+        seen = look(channel.time_s, channel.columns, name)
+        faults += seen.faults
+        for column, values in seen.columns.items():
             columns[column] = _on_grid(channel.time_s, values, grid, rate_hz, averaged)
-    return Dataset(name, rate_hz, grid, columns)
+            if column in seen.left_out:
+                columns[column][reached(grid, channel.time_s, seen.left_out[column], margin)] = np.nan
+    return Dataset(name, rate_hz, grid, columns, flags=flags_of_readings(faults), readings=tuple(faults))
+
+
+def flags_of_readings(faults: Iterable[ReadingFault]) -> tuple[Flag, ...]:
+    """A flag for each fault of the readings."""
+    return tuple(Flag("readings", str(fault)) for fault in faults)
+
+
+def reached(grid: FloatArray, time_s: FloatArray, left_out: NDArray[np.bool_], half: float) -> NDArray[np.bool_]:
+    """(g,) points of the grid that use a reading of `left_out` (n,): those between the good readings around it, with
+    windows that reach `half` [s] to both sides."""
+    edges = np.diff(np.concatenate(([False], left_out, [False])).astype(np.int8))
+    first, stop = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    padded = np.concatenate(([-np.inf], time_s, [np.inf]))
+    slack = 1e-9 + (0.0 if not half else -half)
+    out = np.zeros(grid.size, bool)
+    for after, before in zip(padded[first], padded[stop + 1]):
+        out[np.searchsorted(grid, after + slack, side="right"):np.searchsorted(grid, before - slack)] = True
+    return out
 
 
 def snapped_times(time_s: FloatArray, rate_hz: float) -> FloatArray:
@@ -131,8 +158,8 @@ def _on_grid(time_s: FloatArray, values: FloatArray, grid: FloatArray, rate_hz: 
     """One column on the grid; NaN where the samples around a grid time (or its window) have a hole."""
     out = np.full(grid.shape, np.nan)
     finite = np.isfinite(values)
-    hole = max(HOLE_PERIODS / max(_rate(time_s), 1e-12), HOLE_STEPS / rate_hz)
     time_s, values = time_s[finite], values[finite]
+    hole = max(HOLE_PERIODS / max(_rate(time_s), 1e-12), HOLE_STEPS / rate_hz)
     if time_s.size == 0:
         return out
     half = 0.5 / rate_hz if averaged else 0.0

@@ -20,6 +20,7 @@ from .imu_encoder import fit_imu as fit_imu
 from .imu_faults import ImuReading as ImuReading
 from .imu_faults import read_imu as read_imu
 from .imu_faults import wrong_lever as wrong_lever
+from .imu_faults import wrong_scale as wrong_scale
 from .imu_mount import MountFit as MountFit
 from .imu_mount import Readings as Readings
 from .imu_mount import fit_mount as fit_mount

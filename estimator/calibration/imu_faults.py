@@ -13,6 +13,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from daq import Dataset, FloatArray
 from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
@@ -33,6 +34,8 @@ ACCEL_UNITS = {G: ("in g", 'unit = "g"'), 1e-3 * G: ("in mg", 'unit = "mg"'), 1e
 AROUND, AROUND_OTHER = 2.0, 1.3
 """The accelerometer's median length is gravity's within the first factor, or its unit is another: one that makes
 gravity of it within the second, or else a scale of the sensor's own."""
+MOST_SCALE, LEAST_SCALE, SCALE_STEP = 1.7, 0.03, 1e-4
+"""Largest factor of a gyro that is searched for, smallest error that is named, and resolution of the search."""
 UNIT_HZ = 1.0
 """Below it the tilt of the accelerometer is the angle of a link that swings, which shows the unit of a gyro."""
 GYRO, ACCEL_X, ACCEL_Y = IMU_COLUMNS
@@ -118,6 +121,29 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     near = [reading for reading in found if reading.left < CLEAR * least]
     fewest = min((reading.changes for reading in near), default=0)
     return as_read, tuple(sorted((r for r in near if r.changes <= fewest + 1), key=lambda r: (r.changes, r.left)))
+
+
+def wrong_scale(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hangs: bool = True) -> str:
+    """A sentence where the accelerometer shows another size of the gyro's rate than it reads, else empty.
+
+    Gravity turns in the link's frame by the rate's integral, so its direction shows the rate's scale.
+    """
+    read = [_as_read(data, hangs) for data in datasets]
+
+    def judged(log_factor: float) -> ImuReading:
+        factor = float(np.exp(log_factor))
+        return _judge(read, _turned(read, factor), np.eye(2), factor, lever_arm, hangs)
+
+    edge = float(np.log(MOST_SCALE))
+    best = judged(float(minimize_scalar(lambda x: judged(x).left, bounds=(-edge, edge), method="bounded",
+                                        options={"xatol": SCALE_STEP}).x))
+    as_read = judged(0.0)
+    if abs(best.factor - 1.0) < LEAST_SCALE or not CLEAR * best.left < as_read.left:
+        return ""
+    return (f"the gyro reads about {1.0 / best.factor:.2f} times the rate by which the accelerometer turns (scale "
+            f"error {1.0 / best.factor - 1.0:+.2f}): check its sensitivity in the data sheet, set name = \"{GYRO}\", "
+            f"scale = {best.factor:.3g} under [columns.{GYRO}], and run legid diagnose, which measures the error; "
+            f"with it {_fall(as_read.left, best.left)}")
 
 
 def wrong_lever(reading: ImuReading, lever_arm: float) -> str:

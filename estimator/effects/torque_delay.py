@@ -26,7 +26,7 @@ class TorqueDelay(TorqueSensorEffect):
     plans = ("fast",)
 
     def told(self, size: FloatArray) -> str:
-        """Which of both comes first, and by how much."""
+        """Sentence that says which of both comes first, and by how much."""
         late_ms = 1e3 * abs(float(size[0]))
         return f"the torque acts {late_ms:.3g} ms {'before' if size[0] > 0.0 else 'after'} it was measured"
 

@@ -258,7 +258,8 @@ def _result(signals: Sequence[SignalSet], search: _Search, point: _Point, step: 
     p, index = len(point.beta), np.flatnonzero(search.free)
     covariance, half_width = np.zeros((p, p)), np.zeros(p)
     covariance[np.ix_(index, index)], quantile = robust_covariance(score, information)
-    half_width[index] = quantile * np.sqrt(np.diag(covariance)[index])
+    variance = np.diag(covariance)[index]  # below zero where few segments know of a direction
+    half_width[index] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     loss = segments.channels * search.loss(point, step.levels) + 2.0 * segments.data.total * np.log(step.levels).sum()
     return Shot(point.beta, covariance, half_width, step.levels, taken, len(point.lost), int(point.lost.sum()),
                 float(loss))

@@ -20,10 +20,14 @@ from estimator import FitError
 from experiments.cli.arguments import add_verbosity, check_outputs
 from experiments.console import USUAL, PlainOutput, commanded, detail, printable, verbosity
 
-HELP_ORDER = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "tune", "validate",
-              "compare", "diagnose", "investigate", "watch", "effects", "simulate", "gains", "casebook", "monte_carlo",
-              "doctor", "runs", "init", "excite", "emulate", "live", "verify", "completion")
-"""The order of `legid --help`; modules of the folder that are not in it come last."""
+GROUPS = {
+    "set up": ("init", "doctor", "calibrate", "demo", "emulate"),
+    "record": ("excite", "record", "live", "info", "runs", "recover", "import_", "export"),
+    "model": ("fit", "tune", "validate", "compare", "diagnose", "investigate", "effects"),
+    "use": ("simulate", "gains", "watch"),
+    "check the program": ("verify", "casebook", "monte_carlo", "completion")}
+"""Heading of `legid --help` -> modules of the folder in their order; others come last, under MORE."""
+MORE = "more"
 TRACEBACK = "LEGID_TRACEBACK"
 """Environment variable under which an unexpected error keeps its traceback, for debugging."""
 
@@ -86,9 +90,15 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, dest="command")
     folder = Path(__file__).parent / "commands"
-    place = {name: k for k, name in enumerate(HELP_ORDER)}
-    for name in sorted((info.name for info in iter_modules([str(folder)])), key=lambda n: place.get(n, len(place))):
-        import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
+    there = {info.name for info in iter_modules([str(folder)])}
+    others = there - {name for names in GROUPS.values() for name in names}
+    for heading, names in {**GROUPS, MORE: tuple(sorted(others))}.items():
+        before = len(subparsers._choices_actions)
+        for name in names:
+            import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
+        if names:
+            line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)
+            subparsers._choices_actions.insert(before, line)
     for command in subparsers.choices.values():
         add_verbosity(command)
     return parser

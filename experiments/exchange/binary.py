@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,27 +28,50 @@ def read_mat(path: Path) -> ImportedFile:
             content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:  # version 7.3
         return read_archive(path)
-    columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__")}))
+    objects = {name: why for value in content.values() for name, why in _objects(value)}
+    columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__") and not list(_objects(v))}))
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
     twice = [found[1] for one in told if (found := re.search('Duplicate variable name "(.+?)"', str(one.message)))]
-    return ImportedFile(path.name, by_length(columns), facts, wrong=tuple(
+    return ImportedFile(path.name, by_length(columns), facts, objects, wrong=tuple(
         Wrong("the first of two variables", name, "has the name of the second") for name in twice))
 
 
+def _objects(value: object) -> Iterator[tuple[str, str]]:
+    """Name and reason of a variable that is a MATLAB object: SciPy gives its name, its class and no data."""
+    from scipy.io.matlab import MatlabOpaque
+
+    if isinstance(value, MatlabOpaque):
+        for row in np.atleast_1d(value):
+            name, kind = (str(row[field].decode() if isinstance(row[field], bytes) else row[field])
+                          for field in ("s0", "s2"))
+            yield name, (f"is a MATLAB {kind} object, which only MATLAB can read: save struct({name}) or {name}.Data "
+                         "instead")
+
+
 def read_parquet(path: Path) -> ImportedFile:
-    """Columns of numbers of a Parquet file; null is NaN. Raises `InputError`, and what PyArrow raises."""
+    """Columns of numbers of a Parquet file, those of a list called as in `nested`; null is NaN.
+
+    Raises `InputError`, and what PyArrow raises.
+    """
     try:
-        from pyarrow import parquet, set_memory_pool, system_memory_pool
+        from pyarrow import parquet, set_memory_pool, system_memory_pool, types
     except ImportError:
         raise InputError(str(path), "needs the package pyarrow", 'install it: pip install "legid[parquet]"') from None
     set_memory_pool(system_memory_pool())  # another reserves more than the reader's bound before it reads
     table = parquet.read_table(str(path), use_threads=False)
     columns: dict[str, FloatArray] = {}
+    left_out: dict[str, str] = {}
     for name in table.column_names:
         numbers = as_floats(table[name].to_numpy())
         if numbers is not None:
             columns[name] = numbers
+            continue
+        lists = types.is_list(table[name].type) or types.is_fixed_size_list(table[name].type)
+        parts = dict(vectors(table[name].to_pylist(), name)) if lists else {}
+        columns |= parts
+        if not parts:
+            left_out[name] = f"holds {table[name].type}, no column of numbers"
     written = {k.decode(): v.decode("utf-8", "replace") for k, v in (table.schema.metadata or {}).items()}
     facts = {name: written[f"legid.{name}"] for name in ("run", *OWN_FACTS) if f"legid.{name}" in written}
-    return ImportedFile(path.name, by_length(columns), facts)
+    return ImportedFile(path.name, by_length(columns), facts, left_out)

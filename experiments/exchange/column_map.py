@@ -18,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Column, Dataset, Flag, FloatArray, InputError, comment, quoted, read_bytes
-from daq.runs import MIN_SAMPLES, MOST, is_contract_column
+from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwrapped_counter
 from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.expression import ANY, names_in, with_computed
 from experiments.exchange.imported import ImportedFile, Table, Wrong
-from experiments.exchange.units import factor
+from experiments.exchange.units import factor, plain_unit
 
 ColumnMap = Mapping[str, Column]
 TIME = "time_s"
+RAW = ("a", "ma", "lsb", "counts")
+"""Units of what stands for a torque, which only its scale makes one."""
 MOST_REPEATED = 0.01
 """Share of rows whose time does not increase that is left out in silence."""
 MOST_TOLD = 4
@@ -61,6 +63,15 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
             raise InputError(f"{where}, columns.{name}", "has a scale, offset or delay that is no finite number",
                              "correct it; a scale is not 0")
     return columns
+
+
+def require_scales(columns: ColumnMap, where: str) -> None:
+    """Raises `InputError` for a torque in amperes or counts without a scale: every parameter would be wrong by it."""
+    for name, column in columns.items():
+        if name.startswith("tau") and plain_unit(column.unit) in RAW and column.scale == 1.0:
+            raise InputError(f"{where}, columns.{name}", f"is in {column.unit} and has no scale",
+                             f"give scale, the torque at the joint per {column.unit}, gear included; or leave unit out "
+                             "if the column is in N m already")
 
 
 def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
@@ -117,7 +128,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
         raise InputError(imported.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
                          "file a run")
     imported = with_computed(imported, whole)
-    channels, wrong = _channels(imported, whole, rate_hz)
+    channels, wrong, flags = _channels(imported, whole, rate_hz)
     if not channels:
         raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
     run = align_channels(imported.name, channels, rate_hz or own_rate(channels))
@@ -126,7 +137,8 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
                          "record for longer, or check the unit of time_s")
     used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
     wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
-    return replace(run, flags=(Flag("rows", _told(wrong)),)) if wrong else run
+    told = (Flag("rows", _told(wrong)),) if wrong else ()
+    return replace(run, flags=(*flags, *run.flags, *told))
 
 
 def _told(wrong: Sequence[Wrong]) -> str:
@@ -137,17 +149,23 @@ def _told(wrong: Sequence[Wrong]) -> str:
 
 
 def _channels(imported: ImportedFile, columns: ColumnMap,
-              rate_hz: float | None) -> tuple[list[TimedColumns], list[Wrong]]:
-    """Columns in SI units, those of the same times together; times count from the first. And the rows left out."""
+              rate_hz: float | None) -> tuple[list[TimedColumns], list[Wrong], tuple[Flag, ...]]:
+    """Columns in SI units, those of the same times together; times count from the first. The rows left out, and what
+    was corrected in the times."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
     wrong: list[Wrong] = []
+    flags: dict[str, Flag] = {}
     for name, column in columns.items():
         if name == TIME:
             continue
         table = imported.table_of(column.name)
         key = next(k for k, t in enumerate(imported.tables) if t is table), column.delay
-        clocks[key] = _clock(imported, table, columns, rate_hz) - column.delay
+        clock = _clock(imported, table, columns, rate_hz)
+        wraps = unwrapped_counter(clock, 1.0)
+        if wraps is not None:
+            clock, flags[TIME] = wraps.time, wraps.flag(TIME)
+        clocks[key] = clock - column.delay
         read = table.columns[column.name]
         scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
@@ -162,7 +180,7 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
                         "its time is not after the one before") for k in late if key[1] == 0.0]
         for times, names in _sparse({name: values[rows] for name, values in group.items()}, clocks[key][rows]):
             out.append(TimedColumns(times, names))
-    return out, wrong
+    return out, wrong, tuple(flags.values())
 
 
 def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: float | None) -> FloatArray:
@@ -193,7 +211,8 @@ def _increasing(where: str, time_s: FloatArray) -> NDArray[np.intp]:
     if rows.size < max((1.0 - MOST_REPEATED) * time_s.size, 2):
         first = int(np.flatnonzero(known <= latest)[0])
         raise InputError(where, f"time repeats or runs backwards in {time_s.size - rows.size} of {time_s.size} rows, "
-                                f"first in row {first + 1}", "sort the rows by time and keep one row a sample")
+                                f"first in row {first + 1}", restart_remedy(time_s, f"row {first + 1}") or
+                         "sort the rows by time and keep one row a sample")
     return rows
 
 

@@ -17,13 +17,18 @@ import numpy as np
 
 from daq import FloatArray, InputError, read_bytes
 from experiments.exchange.imported import ImportedFile, Table, Wrong
-from experiments.exchange.units import UNITS
+from experiments.exchange.text_time import read_times
+from experiments.exchange.units import UNITS, plain_unit
 
 SEPARATORS = (",", ";", "\t", "|", " ")
 SNIFFED_LINES, MOST_COLUMNS = 200, 4096
 MOST_WRONG = 0.05
 """Share of rows that may hold a word where a number belongs; a column with more is one of words."""
 BLANK = {"", "nan", "na", "n/a", "null", "none", "-"}
+LEAST_SINGLE = 20
+"""Rows of a file of one column, at least."""
+NAME_LABELS, UNIT_LABELS = ("channel name", "channel", "name", "signal", "kanal"), ("unit", "units", "einheit")
+"""Words in front of a channel's name and unit, in the place of its times: the header of some loggers."""
 _UNIT_WORDS = {unit for known in UNITS.values() for unit in known}
 
 
@@ -65,10 +70,22 @@ def read_delimited(path: Path) -> ImportedFile:
     most = MOST_WRONG * len(columns[0])
     if len(long) > most:
         raise InputError(f"{path}, {long[0].place}", long[0].why, "fix or cut the line")
+    for k in [k for k, cells in bad.items() if len(cells) > most]:
+        times = read_times(_cells_of(lines, dialect, k, len(columns[0]), len(names)))
+        if times is not None:
+            columns[k], bad[k] = times.tolist(), []
     text = {k: f"{cells[0].why} in {cells[0].place}" for k, cells in bad.items() if len(cells) > most}
     kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in text}
     wrong = tuple([*long, *(one for k, cells in bad.items() if k not in text for one in cells)])
     return ImportedFile(path.name, (Table(kept),), left_out={names[k]: what for k, what in text.items()}, wrong=wrong)
+
+
+def _cells_of(lines: list[str], dialect: Dialect, k: int, rows: int, width: int) -> list[str]:
+    """The `rows` cells of column `k`, as text."""
+    split = (_split(line, dialect.separator) for line in lines[dialect.first:] if line.strip())
+    cells = [row[k] if k < len(row) else "" for row in split
+             if len(row) <= width or not any(c.strip() for c in row[width:])]
+    return cells[:rows]
 
 
 def _lines(path: Path) -> list[str]:
@@ -134,10 +151,10 @@ def _block(lines: list[str], separator: str, decimal: str) -> tuple[Dialect, int
     numbers = [sum(value is not None and math.isfinite(value) for value in row) for _, row in rows]
     begin = len(rows)
     width = len(rows[-1][1]) if rows else 0
-    while begin > 0 and numbers[begin - 1] >= 1 and len(rows[begin - 1][1]) >= width > 1 \
+    while begin > 0 and numbers[begin - 1] >= 1 and len(rows[begin - 1][1]) >= width \
             and sum(value is None for value in rows[begin - 1][1]) <= width // 2:
         begin -= 1
-    if len(rows) - begin < 2:
+    if len(rows) - begin < (2 if width > 1 else LEAST_SINGLE):
         return None
     return Dialect(separator, decimal, rows[begin][0], width), sum(numbers[begin:])
 
@@ -152,7 +169,7 @@ def _names(lines: list[str], dialect: Dialect) -> list[str]:
     plain = [f"column {k + 1}" for k in range(dialect.cells)]
     if not heads:
         return plain
-    names = heads[-1]
+    names = _labelled(heads) or heads[-1]
     if len(heads) > 1 and all(_bare(cell) in _UNIT_WORDS or not cell for cell in names):
         names = [f"{name} [{_bare(unit)}]" if unit else name for name, unit in zip(heads[-2], names)]
     out: dict[str, None] = {}
@@ -165,5 +182,22 @@ def _names(lines: list[str], dialect: Dialect) -> list[str]:
     return list(out)
 
 
+def _labelled(heads: list[list[str]]) -> list[str]:
+    """Names of a header in which each channel's name and unit have a label in front, in the column of its times; empty
+    for any other header."""
+    def behind(labels: tuple[str, ...]) -> dict[int, str]:
+        line = next((head for head in reversed(heads) if head[0].lower() in labels), [])
+        return {k + 1: line[k + 1] for k, cell in enumerate(line[:-1]) if cell.lower() in labels}
+
+    names, units = behind(NAME_LABELS), behind(UNIT_LABELS)
+    if not names:
+        return []
+    out = list(heads[-1])
+    for k, name in names.items():
+        out[k - 1] = f"{name} time"
+        out[k] = f"{name} [{_bare(units[k])}]" if units.get(k) else name
+    return out
+
+
 def _bare(cell: str) -> str:
-    return cell.strip("[](){} ").lower()
+    return plain_unit(cell.strip("[](){} "))

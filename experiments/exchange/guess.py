@@ -24,14 +24,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from daq import Column, Dataset, FloatArray, InputError
-from daq.runs import IMU
+from daq.runs import IMU, unwrapped_counter
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_chain import driven_joints, find_chain
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
 from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
-from experiments.exchange.units import BRACKETED, unit_in_name
+from experiments.exchange.units import BRACKETED, factor, unit_in_name
 
 PATTERNS = {
     "gyro": r"gyr|angular_?vel|omega|ang_?rate|(?<![a-z])[gw][xyz](?![a-z])|imu.*rate",
@@ -39,10 +39,10 @@ PATTERNS = {
     "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|strom|iq_|_iq|\biq\b",
     "q1": r"\bq1|q_?1_|hip|pivot|joint_?1\b|shoulder|joint_?0\b",
     "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|torso|trunk|pos|angle|winkel"
-          r"|enc(?![ey])|theta|\bq\b",
+          r"|enc(?![eyh])|theta|\bq\b|observation\.state",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
-NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip"
+NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip|(?<![a-z])action"
 WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque, effort, tau, current or iq",
          "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}
 """What a person is told to call them."""
@@ -51,14 +51,23 @@ MOST_LINKS = 5
 MOST_RIVALS = 4
 """Columns that are tried in addition to the most likely one."""
 TORSO = r"torso|trunk"
-NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc|imu"
+NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc|imu|force|wrench|torque"
+WRENCH = r"wrench|netft"
+"""A sensor of six axes, none of which is a joint's torque by its name."""
+MAYBE_TORQUE = r"^[^a-z]*(u|input|control)[^a-z]*$"
+LEAST = 1e-300
+"""Smaller numbers are memory that nobody wrote to, read as a double."""
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
-TIME_NAMES = r"^_*(time|t|timestamp|stamp|sec|seconds|zeit|clock|millis|micros|time_.*|t_.*|.*timestamp.*|.*time)$"
+TIME_NAMES = (r"^_*(time|t|timestamp|stamp|sec|seconds|zeit(?:stempel)?|clock|millis|micros|time_.*|t_.*|"
+              r".*timestamp.*|.*time)$")
 STEP_S = (0.0002, 0.1)
 """Steps between which a log of a leg lies: they tell seconds from milliseconds."""
 UNNAMED = re.compile(r"column \d+")
 """What a reader calls a column of a table without a header."""
+TIME_REMEDIES = {"digits only": "export the times with more digits, or leave the column out and give --rate HZ",
+                 "stands still": "export times of a finer resolution, or give --rate HZ for rows at one rate"}
+"""What a column of times lacks -> the remedy."""
 AXIS = re.compile(r"[^a-zA-Z0-9]?([xyz])(?:[\s\[(_].*)?$", re.IGNORECASE)
 
 
@@ -78,13 +87,15 @@ class Guess:
     """Title -> what was measured and what physics makes of the other columns, both (n,) on the grid of `run`."""
 
 
-def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
+def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float | None = None) -> Guess:
     """Columns of `imported` with units and signs, for a hanging leg, a single joint, a chain or a walker.
 
     A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
     more, or with two torques, is a chain's whose joints all have encoders. Three angles and two torques may be a
-    walker's, which touchdowns show. Raises `InputError`.
+    walker's, which touchdowns show. A file without times has `rate_hz` rows a second. Raises `InputError`.
     """
+    if rate_hz is not None:
+        imported = _timed(imported, rate_hz)
     columns, notes, rivals = _by_name(imported)
     if _is_joint(imported):
         return _guess_joint(imported, columns, notes)
@@ -135,6 +146,20 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
     return Guess(columns, notes, warnings, unexplained, apply_map(imported, columns), curves)
 
 
+def _timed(imported: ImportedFile, rate_hz: float) -> ImportedFile:
+    """`imported` with `rate_hz` rows a second in each table without a column of times."""
+    try:
+        if all(table.time_s is None for table in imported.tables):
+            _time(imported)
+            return imported
+    except InputError:
+        pass
+    return replace(imported, tables=tuple(
+        table if table.time_s is not None else
+        table._replace(time_s=np.arange(next(iter(table.columns.values())).size) / rate_hz)
+        for table in imported.tables if table.columns))
+
+
 def _is_joint(imported: ImportedFile) -> bool:
     """One measured angle, at most one measured torque, and no sensor of a leg: neither read nor left out."""
     angles = len(_fitting(imported, "q1", True)) + len(_fitting(imported, "q2", True))
@@ -147,6 +172,7 @@ def _is_chain(imported: ImportedFile) -> bool:
     a torso's."""
     angles, torques = _angles(imported), _fitting(imported, "tau", True)
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
+    some |= 2 <= len(angles) <= MOST_LINKS and not _has(imported, "tau")
     return some and (not _has(imported, "gyro", "accel") or bool(re.search(TORSO, " ".join(angles), re.IGNORECASE)))
 
 
@@ -197,15 +223,39 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
         return theirs, apply_map(imported, time | theirs)
 
     theirs, raw = put(range(len(angles)))
+    wrenches = [] if driven else _wrenches(imported)
+    if wrenches:
+        unknown = {name: "NOT KNOWN: no column is known to be its torque" for name in theirs if name != TIME}
+        return Guess(theirs | time, unknown, [], wrenches, raw)
     found = find_chain(raw, theirs, gravity_mps2)
     if len(angles) == 3 and len(driven) == 2:
         theirs, raw = put(sorted(range(3), key=lambda j: (j in driven.values(), j)))
         found = walker_or_chain(find_walker(raw, theirs, gravity_mps2), found)
     theirs = found.columns | time
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
-    last = max(name for name in theirs if name.startswith("tau"))
-    curves = {f"{last}: measured, and computed from the motion [N m]": found.check}
-    return Guess(theirs, reasons | found.notes, found.warnings, found.unexplained, apply_map(imported, theirs), curves)
+    last = max((name for name in theirs if name.startswith("tau")), default="")
+    what = f"{last}: measured, and computed from the motion [N m]" if last else \
+        "acceleration: measured, and computed from gravity and friction [rad/s²]"
+    maybe = [] if driven else _maybe_torques(imported)
+    return Guess(theirs, reasons | found.notes, [*found.warnings, *maybe], found.unexplained,
+                 apply_map(imported, theirs), {what: found.check})
+
+
+def _maybe_torques(imported: ImportedFile) -> list[str]:
+    """A warning for each column that may be a torque, though its name does not say which."""
+    return [f"{name!r} may be a torque: name the joint that it drives by [columns.tau1_nm] or [columns.tau2_nm]"
+            for name in imported.names if re.match(MAYBE_TORQUE, name, re.IGNORECASE)
+            and _changes(imported.table_of(name).columns[name])]
+
+
+def _wrenches(imported: ImportedFile) -> list[str]:
+    """One line where a sensor of six axes may hold a joint's torque."""
+    axes = [name for name in imported.names if re.search(WRENCH, name, re.IGNORECASE)]
+    moments = [name for name in axes if re.search("torque|moment|/m[xyz]", name, re.IGNORECASE)]
+    if not axes:
+        return []
+    return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the "
+            "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
 
 
 def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
@@ -244,6 +294,8 @@ def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str],
 
 
 def _kind(name: str) -> str:
+    if re.search(WRENCH, name, re.IGNORECASE):
+        return ""
     return next((kind for kind, pattern in PATTERNS.items() if re.search(pattern, name, re.IGNORECASE)), "")
 
 
@@ -255,7 +307,7 @@ def _lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inp
     for name in imported.names:
         values = imported.table_of(name).columns[name]
         if _kind(name) in words and not _changes(values):
-            useless.append(f"{name!r} {'never changes' if np.isfinite(values).any() else 'is blank'}")
+            useless.append(f"{name!r} {_unchanging(values)}")
     if useless:
         return InputError(imported.name, f"lacks {what}: {', '.join(useless[:6])}",
                           "correct those cells, or map another column by hand: see docs/exchange.md")
@@ -270,7 +322,15 @@ def _lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inp
 
 def _changes(values: FloatArray) -> bool:
     known = values[np.isfinite(values)]
-    return bool(known.size > 2 and np.ptp(known) > 0.0)
+    return bool(known.size > 2 and np.ptp(known) > LEAST)
+
+
+def _unchanging(values: FloatArray) -> str:
+    """Why a column (n,) that does not change is of no use, in few words."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "is blank"
+    return "never changes" if np.ptp(known) == 0.0 else f"holds no torque (all readings are below {LEAST:g})"
 
 
 def _fitting(imported: ImportedFile, kind: str, measured: bool) -> list[str]:
@@ -303,10 +363,11 @@ def _time(imported: ImportedFile) -> tuple[Column, str]:
     for name in sorted(imported.names, key=lambda n: not _called_time(n)):
         values = imported.table_of(name).columns[name]
         known = np.flatnonzero(np.isfinite(values))
-        steps = np.diff(values[known])
+        wraps = unwrapped_counter(values[known], factor(unit_in_name(name, TIME), TIME, name))
+        steps = np.diff(values[known] if wraps is None else wraps.time)
         if known.size < 0.99 * values.size or (steps >= 0).mean() <= 0.99 or np.median(steps) <= 0:
             if _called_time(name):
-                useless.append(f"{name!r} {_not_a_clock(values)}")
+                useless.append(f"{name!r} {_not_a_clock(values if wraps is None else wraps.time)}")
             continue
         unit = unit_in_name(name, TIME)
         if unit:
@@ -317,8 +378,9 @@ def _time(imported: ImportedFile) -> tuple[Column, str]:
         if units and (_called_time(name) or step != 1.0):  # a count of rows has no unit
             return Column(name=name, unit=units[0]), f"it increases, in steps of {step:g} {units[0] or 's'}"
     if useless:
+        remedy = next((after for start, after in TIME_REMEDIES.items() if any(start in one for one in useless)), "")
         raise InputError(imported.name, f"lacks a time: {', '.join(useless[:3])}",
-                         "sort the rows by time, one row a sample, each with its time")
+                         remedy or "sort the rows by time, one row a sample, each with its time")
     raise _lacking(imported, "a time", {TIME: WORDS[TIME]})
 
 
@@ -335,4 +397,7 @@ def _not_a_clock(values: FloatArray) -> str:
     backwards = np.flatnonzero(steps < 0)
     if backwards.size:
         return f"runs backwards in {backwards.size} of {values.size} rows, first in row {known[backwards[0] + 1] + 1}"
-    return f"stands still in {int((steps == 0).sum())} of {values.size} rows"
+    still = f"stands still in {int((steps == 0).sum())} of {values.size} rows"
+    digits = next((d for d in range(5, 12) if all(float(f"{v:.{d - 1}e}") == v for v in values[known[:1000]])), 0)
+    few = digits and abs(values[known[0]]) >= 10.0**digits
+    return f"{still}: its times have {digits} digits only" if few else still

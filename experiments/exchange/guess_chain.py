@@ -54,6 +54,8 @@ class Reading:
 
 def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, int]:
     """Torque column -> joint from 0, by the words and numbers that its name shares with that of an angle."""
+    if not torques:
+        return {}
     words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
     common = set.intersection(*words[0]) if len(angles) > 1 else set()
     shared = np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)
@@ -65,7 +67,8 @@ def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, in
 def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> Found:
     """Unit of the angles and signs of angles and torques of a chain of joints, each with an encoder.
 
-    `columns` are q1_rad, q2_rad, ... and the torque of each driven joint. The equation of motion of the open chain
+    `columns` are q1_rad, q2_rad, ... and the torque of each driven joint; a chain without one swings freely, and the
+    other terms must explain what the first inertia needs. The equation of motion of the open chain
     must leave little of the torques under the right unit and signs, with a positive definite inertia matrix. Absolute
     angles are tried, too. Columns that nothing explains are left as they stand in the file. Whether the chain is seen
     from its left or its right does not show: joint 1's angle keeps its sign.
@@ -76,8 +79,12 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
 
     ranked = sorted(_readings(mechanism, raw, columns, driven), key=lambda one: one.left)
     first = ranked[0]
-    read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
-    made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta
+    z = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
+    if driven:
+        read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
+        made = z @ first.beta
+    else:
+        read, made = z[:, 0], z[:, 0] - z @ first.beta
     found = told(ranked, columns, (read, made), range(-1, n - 1), "a mechanism that is no open chain")
     tilt = _hangs_at(mechanism, first.beta)
     if not found.unexplained and abs(tilt) > HANGS_RAD:
@@ -97,17 +104,21 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
     sure = second.left >= CLEAR * first.left
     angles, torques = ([name for name in sorted(columns) if name.startswith(kind)] for kind in ("q", "tau"))
+    what = "the torques" if torques else "the accelerations"
     warnings = [text for name in torques for text in scale_warnings(name, columns[name])]
+    if not torques:
+        warnings.append("no torque: the joints swing freely. Write actuated = [] under [mechanism], and give legid fit "
+                        "one parameter with --fix: without a torque only ratios show")
     if first.left > EXPLAINS:
         named = ", ".join(repr(columns[name].name) for name in angles)
-        why = (f"no unit and signs of {named} explain the torques (the best leave {100 * first.left:.0f} %): too "
+        why = (f"no unit and signs of {named} explain {what} (the best leave {100 * first.left:.0f} %): too "
                f"little motion, a motor's angle before its gear, another order of the joints, or {otherwise}")
-        notes = {name: "NOT KNOWN: no unit and signs explain the torques" for name in angles}
+        notes = {name: f"NOT KNOWN: no unit and signs explain {what}" for name in angles}
         notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
         return Found(dict(columns), notes, warnings, [why], check, left=first.left)
     if not sure:
-        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of the "
-                        f"torques, {_told(second)} {100 * second.left:.0f} %; look at the plot")
+        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of "
+                        f"{what}, {_told(second)} {100 * second.left:.0f} %; look at the plot")
     prefix = "" if sure else NOT_SURE
     found, notes = {}, {}
     for k, (column, sign) in enumerate(zip(angles, first.signs)):
@@ -118,8 +129,7 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
             name = f"'{name}' - '{less}'"
         found[column] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
         notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
-                         f"motion leaves {100 * first.left:.1f} % of the torques (next best: {100 * second.left:.0f} "
-                         "%)")
+                         f"motion leaves {100 * first.left:.1f} % of {what} (next best: {100 * second.left:.0f} %)")
     for column, sign in zip(torques, first.works):
         found[column] = msgspec.structs.replace(columns[column], sign=1 if sign > 0 else -1)
         notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
@@ -167,6 +177,9 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
     power = float(np.sum(torque[rows] ** 2))
     spread = max(float(np.sum(np.var(torque[rows], axis=0))) * rows.size, 1e-30)
     poses = q[rows[:: max(1, rows.size // POSES)]]
+    if not driven:
+        yield _swinging(mechanism, q, z, poses, read)
+        return
     for works in product((1, -1), repeat=len(driven)):
         right = np.array(works, dtype=float) @ parts[list(driven)]
         beta = inverse @ right
@@ -174,6 +187,18 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
         if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
             left = max(left, 1.0)
         yield Reading(left, *read, works, q, beta)
+
+
+def _swinging(mechanism: Mechanism, q: FloatArray, z: FloatArray, poses: FloatArray,
+              read: tuple[str, bool, tuple[int, ...]]) -> Reading:
+    """Z beta = 0 of a chain that no motor drives, by its rows z (m, n, k), in units of the first inertia."""
+    rows, wanted = z[..., 1:].reshape(-1, z.shape[-1] - 1), -z[..., 0].ravel()
+    rest = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    left = float(np.linalg.norm(rows @ rest - wanted) / max(float(np.linalg.norm(wanted)), 1e-30))
+    beta = np.append(1.0, rest)
+    if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
+        left = max(left, 1.0)
+    return Reading(left, *read, (), q, beta)
 
 
 def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:

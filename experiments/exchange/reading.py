@@ -17,7 +17,7 @@ from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.bounded import Reader, read_bounded
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
 from experiments.exchange.can_log import is_candump, read_can_log
-from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity
+from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity, require_scales
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.rosbag import read_bag
@@ -99,6 +99,7 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
         return _own(Path(path), rig, rate)
     imported = read_imported(path)
     columns = check_map(dict(rig.columns), "the rig file") if rig.columns else {}
+    require_scales(columns, "the rig file")
     if csv and not applies(imported, columns):
         return _own(Path(path), rig, rate)
     run = mapped(imported, columns, rate)

@@ -29,6 +29,14 @@ UNITS: dict[str, dict[str, float]] = {
 BRACKETED = re.compile(r"[\[({]\s*([^\])}]+?)\s*[\])}]\s*$")
 
 
+_DOTS = str.maketrans(dict.fromkeys("·⋅∙•", " "))
+
+
+def plain_unit(unit: str) -> str:
+    """A unit as `UNITS` has it: in small letters, a product with a blank for its dot."""
+    return unit.translate(_DOTS).strip().lower()
+
+
 def kind_of(column: str) -> str:
     """`radps` of `gyro_radps`: what its units are looked up by."""
     return column if column in UNITS else column.rpartition("_")[2]
@@ -39,11 +47,11 @@ def factor(unit: str, column: str, where: str) -> float:
     known = UNITS[kind_of(column)]
     if not unit:
         return 1.0
-    if unit.strip().lower() not in known:
+    if plain_unit(unit) not in known:
         close = difflib.get_close_matches(unit.lower(), known, 1, 0.5)
         raise InputError(where, f"{column} cannot be in {unit!r}",
                          f"did you mean {close[0]!r}?" if close else f"it may be in {', '.join(filter(None, known))}")
-    return known[unit.strip().lower()]
+    return known[plain_unit(unit)]
 
 
 def si_unit(column: str) -> str:
@@ -60,6 +68,6 @@ def unit_in_name(name: str, column: str) -> str:
     known = UNITS[kind_of(column)]
     match = BRACKETED.search(name)
     if match:
-        return match[1] if match[1].lower() in known else ""
+        return match[1] if plain_unit(match[1]) in known else ""
     last = re.split(r"[_\s./]", name)[-1]
-    return last if last.lower() in known and (len(last) > 1 or last in "Ags") and last != name else ""
+    return last if plain_unit(last) in known and (len(last) > 1 or last in "Ags") and last != name else ""

@@ -192,6 +192,13 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """
     provenance: Provenance
 
+    def __str__(self) -> str:
+        """Mechanism, parameters and effects in a few lines; the document itself is JSON."""
+        lines = [f"{self.mechanism.model}, fitted by {self.provenance.method} to {', '.join(self.provenance.runs)}",
+                 *(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.parameters),
+                 *(f"effect: {one.name}" for one in self.effects)]
+        return "\n".join(lines)
+
     @property
     def beta(self) -> list[float]:
         """Values in the order of `parameters`."""

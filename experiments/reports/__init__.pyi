@@ -97,6 +97,7 @@ from .run_info import clock_bound_s as clock_bound_s
 from .run_info import clock_warnings as clock_warnings
 from .run_info import describe_csv as describe_csv
 from .run_info import describe_mcap as describe_mcap
+from .run_info import recorded_readings as recorded_readings
 from .run_list import choose as choose
 from .run_list import list_runs as list_runs
 from .run_list import runs_document as runs_document

@@ -52,7 +52,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
         "hold": {"name": result.hold, "chosen": result.hold_margin is not None, "margin": result.hold_margin},
         "agreement": agreement_document(result), "second_opinion": opinion_document(result),
-        "inadmissible": list(result.inadmissible), "remedies": list(result.remedies),
+        "inadmissible": list(_faults(result)), "remedies": list(result.remedies),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
         "findings": [{"role": one.role, "kind": one.kind, "text": one.text}
                      for one in (*result.findings, *check_fit(result))],
@@ -66,16 +66,15 @@ def check_sound(result: FitResult, for_model: bool) -> None:
     """Raises `WorkError` for a fit that did not converge or that knows nothing; `for_model`, for one that is not sure
     of every parameter too."""
     missing = f"this data does not determine {', '.join(map(str, result.undetermined))}" if result.undetermined else ""
+    several = result.agreement is not None and result.agreement.unit == "run" and len(result.agreement.runs) > 1
     if not result.converged:
         raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
-                        + ("; or ".join(result.remedies) if result.remedies else
-                           "no model was written" if for_model else "record more, or richer, motion")
+                        + ("; or ".join(result.remedies) or _remedy(result, several))
                         + (f"; {missing}" if missing else ""))
     if missing and result.open_parameters >= {p.name for p in result.mechanism.parameters} - set(result.fixed):
         raise WorkError(f"{missing}; move every joint")
-    if result.inadmissible:
-        why = "; ".join(result.inadmissible)
-        several = result.agreement is not None and result.agreement.unit == "run" and len(result.agreement.runs) > 1
+    if faults := _faults(result):
+        why = "; ".join(faults)
         raise WorkError(f"these parameters are no mechanism's: {why}; "
                         + ("; or ".join(result.remedies) or "no other sign, unit, order or gear of a column that was "
                            "tried makes a mechanism of them: check gravity and the joints under [mechanism], or give a "
@@ -84,6 +83,20 @@ def check_sound(result: FitResult, for_model: bool) -> None:
     if missing and for_model:
         raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
                         "--fix NAME=VALUE")
+
+
+def _faults(result: FitResult) -> tuple[str, ...]:
+    """Reasons why no mechanism has these parameters, as the first line of the text says."""
+    return result.inadmissible or tuple(one.text for one in check_fit(result) if one.kind == "impossible")
+
+
+def _remedy(result: FitResult, several: bool) -> str:
+    """What to do about a fit that did not converge, by what is known of it. More motion helps open parameters alone."""
+    if result.undetermined:
+        return "record motion of every joint, fast and slow"
+    if several:
+        return "fit each run individually with --each: one of them may differ from the others"
+    return "run legid diagnose on several runs of this leg: the model may lack something"
 
 
 def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Sequence[str],

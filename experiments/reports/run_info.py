@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray, InputError, Rig
+from daq.looks import look
 from daq.runs import Note, RawRun, RawTable, start_of
 from daq.timing import (
     HOLE_PERIODS,
@@ -53,11 +54,29 @@ def describe_csv(table: RawTable) -> str:
     rows = [[name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}"]
             for name, values in table.columns.items()]
     ignored = ", ".join(table.ignored)
+    readings = [f"warning: {text}" for text in (*table.flags, *readings_of(table))]
     lines = [f"{table.name}: {table.time_s.size} samples, {seconds:.2f} s, {1.0 / nominal:.6g} Hz",
              f"jitter of the sample times (rms): {float(np.std(steps[steps <= HOLE_PERIODS * nominal])) * 1e6:.3g} us; "
              f"gaps: {holes}" + (f", longest {float(steps.max()):.3g} s" if holes else ""), "",
              text_table(["column", "min", "max", "std"], rows, right={1, 2, 3})]
-    return "\n".join(lines + ([f"not numbers, ignored: {ignored}"] if ignored else []))
+    return "\n".join([*lines, *[f"not numbers, ignored: {ignored}"] * bool(ignored), *readings])
+
+
+def recorded_readings(raw: RawRun) -> list[str]:
+    """The same of a native run; empty where it cannot be timed."""
+    try:
+        channels = decode(raw, recorded_rig(raw)).channels
+        return [str(fault) for one in channels for fault in look(one.time_s, one.columns, raw.name).faults]
+    except InputError:
+        return []
+
+
+def readings_of(table: RawTable) -> list[str]:
+    """Faults of its readings, in sentences; empty for sound ones."""
+    try:
+        return list(map(str, look(table.time_s, table.columns, table.name).faults))
+    except InputError as error:
+        return [str(error)]
 
 
 def _recorded(raw: RawRun) -> str:
@@ -120,6 +139,7 @@ def _clocks(raw: RawRun) -> list[str]:
     lines = [f"{label}: {words}" for label, words in found.clocks.items()]
     lines += second_shunt(raw, fine)
     lines += [f"warning: a fit of this run is suspect: {flag}" for flag in found.flags]
+    lines += [f"warning: {fault}" for fault in fine.readings]
     if skew is not None:
         lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
                      f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import re
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
@@ -13,13 +16,16 @@ import numpy as np
 from msgspec import Struct
 
 from daq import InputError, read_bytes
-from daq.runs import RawRun, read_run, start_of
+from daq.runs import SUFFIXES, RawRun, read_csv, read_run, start_of
 from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
-from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
+from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames, readings_of, recorded_readings
 from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
+KINDS = (".mcap", *SUFFIXES)
+MOST_HEADER = 1 << 16
+"""Bytes of a CSV's header that are looked at."""
 MOST_BYTES = 1 << 26
 """Of a JSON that is looked into."""
 RAIL_COUNTS = 32760
@@ -70,6 +76,8 @@ class RunLine:
     imu_gaps: int = 0
     clipped: int = 0
     """IMU samples with an axis at its rail: the true reading is beyond."""
+    readings: tuple[str, ...] = ()
+    """Readings that no device can give, in sentences."""
     clock_faults: tuple[str, ...] = ()
     """Steps, freezes and rate changes of the controller's clock."""
     ended: str = ""
@@ -85,7 +93,7 @@ class RunLine:
     @property
     def faulty(self) -> bool:
         """Something was lost, or it ended early."""
-        return bool(self.frames_lost or self.imu_gaps or self.clock_faults or self.ended)
+        return bool(self.frames_lost or self.imu_gaps or self.clock_faults or self.ended or self.readings)
 
     @property
     def flaws(self) -> tuple[str, ...]:
@@ -97,19 +105,21 @@ class RunLine:
             (f"{self.frames_lost} frames lost", self.frames_lost),
             (f"{self.clipped} IMU samples at their rail", self.clipped),
             (f"faults of the controller's clock: {'; '.join(self.clock_faults)}", self.clock_faults),
+            (f"faults of readings: {'; '.join(self.readings)}", self.readings),
             (f"clock known to {(bound or 0.0) * 1e3:.1f} ms only", bound is not None and bound > BOUND_S)) if bad)
 
 
 def list_runs(folder: Path | str) -> list[RunLine]:
-    """All .mcap files in `folder` and below, oldest first, or that one file. Raises `InputError` where there is none
-    of that name."""
+    """All .mcap files in `folder` and below, oldest first, then runs as CSV, or that one file. Raises `InputError`
+    where there is none of that name."""
     folder = Path(folder)
-    if folder.suffix == ".mcap" and folder.is_file():
+    if folder.name.lower().endswith(KINDS) and folder.is_file():
         return [_with_verdict(_line(folder, folder.parent), folder, _documents(folder.parent))]
     if not folder.is_dir():
         raise InputError(str(folder), "is no folder", "name one that holds run files")
     documents = _documents(folder)
-    paths = sorted(folder.rglob("*.mcap"))
+    paths = sorted(path for path in folder.rglob("*")
+                   if path.name.lower().endswith(KINDS) and (path.suffix == ".mcap" or holds_run(path)))
     lines = [_with_verdict(_line(path, folder), path, documents)
              for path in progress(paths, "reading runs", unit="run")]
     return sorted(lines, key=lambda line: (line.recorded is None, line.recorded or datetime.max.replace(tzinfo=UTC)))
@@ -132,10 +142,11 @@ def runs_text(lines: Sequence[RunLine]) -> str:
              line.model or "-", "-" if line.clock_bound_s is None else f"{line.clock_bound_s * 1e6:.0f}",
              str(line.frames_lost), str(line.imu_gaps), str(line.clipped),
              " ".join([line.verdict or "-", *line.causes]),
-             "; ".join(filter(None, [line.ended, "clock fault" * bool(line.clock_faults)]))]
+             "; ".join(filter(None, [line.ended, "clock fault" * bool(line.clock_faults),
+                                     "faulty readings" * bool(line.readings)]))]
             for line in lines]
     header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
-              "ended early"]
+              "remark"]
     if any(line.watch for line in lines):
         header.append("watch")
         rows = [[*row, line.watch or "-"] for row, line in zip(rows, lines)]
@@ -150,6 +161,8 @@ def runs_document(lines: Sequence[RunLine]) -> dict[str, Any]:
 
 def _line(path: Path, folder: Path) -> RunLine:
     name = str(path.relative_to(folder))
+    if path.suffix != ".mcap":
+        return _csv_line(path, name)
     try:
         raw = read_run(path)
     except (InputError, OSError) as error:
@@ -159,8 +172,26 @@ def _line(path: Path, folder: Path) -> RunLine:
     return RunLine(
         name, start_of(raw.facts), seconds, _model(raw),
         clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
-        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw),
+        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw), tuple(recorded_readings(raw)),
         tuple(find_clock_faults(raw)), _ended(raw))
+
+
+def holds_run(path: Path) -> bool:
+    """Whether a CSV's header names the columns of a run, and not of a plan or of another program."""
+    try:
+        with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
+            names = [cell.strip() for cell in file.readline(MOST_HEADER).split(",")]
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError):
+        return False
+    return "time_s" in names and any(re.match(r"q\d+_(rad|m)$|gyro", name) for name in names)
+
+
+def _csv_line(path: Path, name: str) -> RunLine:
+    try:
+        table = read_csv(path)
+    except InputError as error:
+        return RunLine(name, ended=f"not readable: {error.what}")
+    return RunLine(name, seconds=float(table.time_s[-1] - table.time_s[0]), readings=tuple(readings_of(table)))
 
 
 def _clipped(raw: RawRun) -> int:

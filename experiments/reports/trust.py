@@ -27,7 +27,7 @@ NAMED = 2
 IN_SHORT: dict[str, str] = {
     "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual is autocorrelated",
     "passive_joint": "a passive joint has a torque residual", "sensor_residual": "a sensor residual is autocorrelated",
-    "repeating_torque": "an unmeasured torque repeats",
+    "sensor_scale": "a sensor's scale is wrong", "repeating_torque": "an unmeasured torque repeats",
     "omitted_effect": "the residuals look like an effect that the model lacks", "prior": "the runs contradict [prior]",
     "undetermined": "these runs do not determine all parameters", "rig_contradiction": "the rig file contradicts a run"}
 """Kind of a suspect result -> its words in the first line; its own line has the figures."""
@@ -69,7 +69,7 @@ def fit_trust(result: FitResult) -> Trust:
     torque = list(torque_fits(result).values())
     disputes = any(one.kind == "runs_disagree" for one in findings)
     tested = result.method in ("mle", "shooting")
-    if result.method == "shooting" and any(one.kind == "estimators_disagree" for one in suspect):
+    if result.method == "shooting" and {one.kind for one in suspect} == {"estimators_disagree"}:
         return Trust("caution", "TRUST WITH CARE: two estimators disagree; multiple shooting is reported.",
                      (*reasons, *facts))
     if suspect:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from daq import InputError
+from daq import JOINTS, InputError
+from drivers import drive_kinds, drive_rate_hz
 from experiments.rig.writer import RigFacts, default_actuated
 
 T = TypeVar("T")
@@ -14,13 +15,17 @@ MODELS = ("leg2", "biped3", "joint1", "chain")
 
 
 def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFacts:
-    """`facts` as somebody corrects them. Raises `InputError` where the answers end early."""
+    """`facts` as somebody corrects them; what Enter keeps counts as assumed.
+
+    The drive decides what is asked after it: without one there is nothing to record with. Raises `InputError` where the
+    answers end early.
+    """
     def get(field: str, question: str, read: Callable[[str], Any], shown: str | None = None) -> None:
         nonlocal facts
         value = getattr(facts, field)
         given = _answer(f"{question} [{shown if shown is not None else value}]: ", read, ask or input)
-        known = facts.known | {field}
-        facts = replace(facts, known=known) if given is None else replace(facts, known=known, **{field: given})
+        if given is not None:
+            facts = replace(facts, known=facts.known | {field}, **{field: given})
 
     get("model", f"mechanism, {' | '.join(MODELS)}", _model)
     if facts.model == "chain":
@@ -33,22 +38,24 @@ def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFa
         get("bus", "I2C bus of the IMU, or none", _name, facts.bus or "/dev/i2c-1")
         facts = replace(facts, bus=_named(facts.bus, "/dev/i2c-1"))
     get("gear_ratio", "gear ratio of the motor", _positive)
-    get("torque_constant_nm_per_a", "joint torque per ampere of motor current, gear included [N m/A]", _positive)
-    get("port", "serial port of the controller, a CAN channel like can0, or none (files alone)", _name,
+    get("kind", f"drive of the motor, {' | '.join(drive_kinds())}, or none (files alone)", _kind)
+    if facts.kind == "none":
+        return replace(facts, kind="legid", port=None, records=False)
+    facts = replace(facts, rate_hz=facts.rate_hz if facts.kind == "legid" else drive_rate_hz(facts.kind))
+    get("port", f"where the {facts.kind} drive is: a serial port, or a CAN channel like can0", _place,
         facts.port or "/dev/ttyACM0")
-    place = _named(facts.port, "/dev/ttyACM0")
-    if place is not None and "/" not in place:
-        facts = replace(facts, port=None, can_channel=place)
-        get("node", "the controller's node on CAN", _whole(0, 63))
-    elif place is None:
-        return replace(facts, port=None, records=False)
-    else:
-        facts = replace(facts, port=place)
-    get("rate_hz", "telemetry rate of the controller [Hz]", _positive)
+    place = facts.port or "/dev/ttyACM0"
+    on_can = "/" not in place and "://" not in place
+    facts = replace(facts, port=None, can_channel=place) if on_can else replace(facts, port=place)
+    if on_can or facts.kind != "legid":
+        get("node", "the drive's node", _whole(0, 252))
+    get("torque_constant_nm_per_a", "joint torque per ampere of motor current, gear included [N m/A]", _positive)
+    get("rate_hz", "telemetry rate of the drive [Hz]", _positive)
     get("torque_nm", "torque limit at the joint [N m]", _positive)
     get("speed_radps", "speed limit [rad/s]", _positive)
     get("q1_rad", "angle limit of the first joint [rad]", _positive)
-    get("q2_rad", "angle limit of the second joint [rad]", _positive)
+    if JOINTS.get(facts.model, facts.links) > 1:
+        get("q2_rad", "angle limit of the second joint [rad]", _positive)
     return facts
 
 
@@ -77,6 +84,18 @@ def _model(text: str) -> str:
     if text not in MODELS:
         raise ValueError(f"{text} is none of {', '.join(MODELS)}")
     return text
+
+
+def _kind(text: str) -> str:
+    if text not in (*drive_kinds(), "none"):
+        raise ValueError(f"{text} is none of {', '.join(drive_kinds())}, none")
+    return text
+
+
+def _place(text: str) -> str:
+    if text in (*drive_kinds(), "none"):
+        raise ValueError(f"{text} is no place: give a serial port like /dev/ttyACM0, or a CAN channel like can0")
+    return _name(text)
 
 
 def _joints(text: str) -> tuple[int, ...]:

@@ -11,8 +11,8 @@ from daq import Dataset, Flag, InputError, Rig
 
 COMPARED = ("mechanism", "terms", "imu", "motor", "calibration")
 """Tables that are facts of the rig; the others are choices of a recording or of an analysis."""
-PLAIN = ("rig", "rows", "grid")
-"""Kinds of flags that state a fact; the others make the run suspect."""
+PLAIN = ("rig", "rows", "grid", "readings")
+"""Kinds of flags that state a fact, or name readings that were left out; the others make the run suspect."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from experiments.session.flags import RunFlag, flags_of
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from experiments.session.setup import Setup, setup_of
+from experiments.session.step_zeros import with_step_zeros
 from experiments.session.usable import SetAside, usable_runs
 
 Runs = Sequence[Path | str | Dataset]
@@ -56,7 +57,8 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     """
     datasets = as_datasets(runs, rig, damaged)
     bare = setup_of(datasets, unzeroed(rig), sensors, fixed)
-    kept, gone = usable_runs(bare.datasets, bare.mechanism, bare.options)
+    known_zeros = with_step_zeros(bare.datasets, bare.mechanism, bare.options)
+    kept, gone = usable_runs(known_zeros, bare.mechanism, bare.options)
     choices = choose_terms(kept, rig, sensors, fixed) if choose else ()
     known = with_choices(rig, choices)
     return Prepared(setup_of(kept, known, sensors, fixed, latent, beta), known, gone, choices,

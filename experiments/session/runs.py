@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from daq import Dataset, InputError, Rig
-from daq.findings import Flag
+from daq import Dataset, Flag, InputError, Rig
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.session.inputs import driven

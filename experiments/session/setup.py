@@ -15,7 +15,6 @@ from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
 from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
-from estimator.options import AUTO
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
 FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
@@ -62,7 +61,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("the rig file", f"[prior] {name} is nothing that {settings.model} has",
                              f"it has {', '.join(mechanism.names)}{bodies}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
-    if options.hold == AUTO and rig.timing.control_period_s is not None and datasets:
+    if options.hold == "auto" and rig.timing.control_period_s is not None and datasets:
         options = replace(options, hold=hold_of(1.0 / (datasets[0].rate_hz * rig.timing.control_period_s)))
     if rig.distance_meter is not None and (rig.distance_meter.sigma_m or rig.distance_meter.sigma_per_m):
         sigmas = [d["q1_sigma_rad"] for d in datasets if "q1_sigma_rad" in d]

@@ -18,6 +18,7 @@ from estimator.calibration import (
     find_remedies,
     read_imu,
     wrong_lever,
+    wrong_scale,
 )
 from estimator.model import Mechanism
 from estimator.signals import angle_column, is_plain
@@ -38,6 +39,8 @@ class Suspicion(NamedTuple):
     """What looks wrong and what to write into the rig file, the likeliest first; empty if nothing helps."""
     against: tuple[str, ...] = ()
     """Why the records cannot be used as they are read, if there is a remedy; empty if they can."""
+    scales: tuple[str, ...] = ()
+    """Sensors whose scale looks wrong, each with its remedy: a diagnosis measures such an error."""
 
 
 def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
@@ -69,6 +72,9 @@ def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         if others:
             return Suspicion(_with_imu(datasets, mechanism, options, gear_ratio, as_read, others),
                              ("gyro and accelerometer contradict each other",))
+        scale = wrong_scale(datasets, mechanism.lever_arm, mechanism.gravity_mps2, hangs=0 in mechanism.passive)
+        if scale:
+            return Suspicion((scale,), scales=(scale,))
         lever = wrong_lever(as_read, mechanism.lever_arm)
         if lever:
             seen = _of_columns(datasets, mechanism.with_lever_arm(as_read.lever_arm), options, gear_ratio, suspected)

@@ -68,6 +68,8 @@ class Fitted:
         gain = self.servo_gain
         return {**fit_document(self.result, self.setup.settings),
                 "set_aside": [run.document for run in self.aside],
+                "readings": [{"run": data.name, **fault.document} for data in self.setup.datasets
+                             for fault in data.readings],
                 "servo_gain": None if gain is None else {"value": gain[0], "ci95": list(gain[1:])},
                 "chosen": [choice.document for choice in self.choices]}
 
@@ -122,6 +124,7 @@ def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Fin
     seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, suspected)
     against = () if "impossible" in kinds else seen.against
     return result, (*(Finding("fault", "columns", text) for text in against),
+                    *(Finding("doubt", "sensor_scale", text) for text in seen.scales),
                     *(Finding("remedy", "columns", text) for text in seen.remedies))
 
 

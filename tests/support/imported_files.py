@@ -73,3 +73,11 @@ def ros2_bag(run: Dataset, folder: Path, plugin: StoragePlugin) -> Path:
                                np.array([0.0, run["tau2_nm"][k]]))
             writer.write(joints, at + 700_000, store.serialize_cdr(state, joint_type.__msgtype__))
     return folder
+
+
+def pendulum(rows: int = 1200, rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times [s], angle [rad] and torque [N m] of a driven pendulum."""
+    t = np.arange(rows) / rate_hz
+    q = 0.8 * np.sin(2.1 * t) + 0.5 * np.sin(5.3 * t + 1.0)
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    return t, q, 0.05 * qdd + 0.02 * qd + 1.2 * np.sin(q)

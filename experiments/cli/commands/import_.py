@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
     from daq.runs import write_csv
     from experiments.console import make_directory, printable, warn
-    from experiments.exchange import apply_map, is_guess, load_map, read_imported, runs_in
+    from experiments.exchange import apply_map, is_guess, load_map, read_imported, require_scales, runs_in
 
     if args.rate is not None and not 0.0 < args.rate < 1e6:
         raise InputError("--rate", f"{args.rate:g} is not a rate in Hz", "give samples per second")
@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.map is None:
         print(f"map: {place}")
     columns = load_map(place)
+    require_scales(columns, str(place))
     given = {Path(file).resolve() for file in args.files}
     bad = 0
     for file, target in _targets(args.files, out):
@@ -133,7 +134,7 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
     if target.exists() and not (args.force or is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
-    found = guess_map(read_imported(args.files[0]))
+    found = guess_map(read_imported(args.files[0]), rate_hz=args.rate)
     print(text_table(GUESS_HEADER, guess_rows(found), set()))
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
@@ -180,4 +181,5 @@ def _show_next(args: argparse.Namespace, target: Path) -> None:
                 for file in args.files)
     where = "runs" if there else args.out
     out = "" if where == "." else f" --out {shlex.quote(where)}"
-    print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{out}")
+    rate = "" if args.rate is None else f" --rate {args.rate:g}"
+    print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{rate}{out}")

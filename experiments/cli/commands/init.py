@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.defaults:
         facts = RigFacts(bus="/dev/i2c-1", port="/dev/ttyACM0")
     else:
+        print(f"Enter keeps the value in brackets, and marks it ASSUMED in {path}.")
         facts = ask_facts(facts)
     text = write_rig(path, facts, more)
     assumed = text.count(ASSUMED)

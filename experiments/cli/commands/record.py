@@ -44,7 +44,9 @@ def run(args: argparse.Namespace) -> int:
 
     from daq import read_rig_file
     from daq.recording import read_plan, watched_by
+    from daq.runs import read_run
     from experiments.console import progress_to
+    from experiments.reports import recorded_readings
     from experiments.rig import MOVES, confirm_estop, rig_path
     from experiments.workflows import record_plan
 
@@ -57,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")
-    for line in warnings:
+    for line in (*warnings, *(f"warning: {text}" for text in recorded_readings(read_run(args.out)))):
         print(line, file=sys.stderr)
     return 0
 

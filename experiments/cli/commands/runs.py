@@ -13,8 +13,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "runs", help="list recorded runs with their verdicts",
-        description="Every .mcap file in DIR and below, oldest first: when, how long, which rig, how well its clock is "
-                    "known, what was lost, and the verdict of the newest diagnosis JSON in its folder that used it.")
+        description="Every .mcap file in DIR and below, oldest first, then runs as CSV: when, how long, which rig, "
+                    "how well its clock is known, what was lost, and the verdict of the newest diagnosis JSON in its "
+                    "folder that used it.")
     parser.add_argument("folder", metavar="DIR", help="folder with run files, or one run")
     parser.add_argument("--model", help="only runs of this rig model (leg2, ...)")
     parser.add_argument("--since", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or later")
@@ -50,5 +51,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {**runs_document(lines), "provenance": origin})
     if lines:
         print(runs_text(lines))
+    elif not every and Path(args.folder).is_dir() and (others := sorted(Path(args.folder).rglob("*.csv"))):
+        print(f"{len(others)} CSV files of other programs: legid import {others[0]} --guess finds their columns")
     print(f"{len(lines)} of {len(every)} runs" if len(lines) < len(every) else f"{len(every)} runs")
     return 0

@@ -16,7 +16,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Simulate the model from rest under the plan's torque and write a run as CSV: angles, torque "
                     "and, for a leg with an IMU, what the IMU would read.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
-    parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
+    parser.add_argument("--plan", required=True,
+                        help="torque plan: CSV with time_s,tau2_cmd_nm; or a run as CSV, for its measured torque")
     add_output(parser, "--out", "run", "RUN.csv", required=True,
                help="the run to write (.csv or .csv.gz); a run that is there is never overwritten")
     add_force(parser)
@@ -55,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     from experiments.models import load_model, range_note_of
     from experiments.workflows import simulate_run
 
-    model, plan = load_model(args.model), read_plan(args.plan)
+    model = load_model(args.model)
+    plan = read_plan(args.plan, [f"tau{j}_{unit}" for j in model.mechanism.actuated for unit in ("nm", "n")])
     with busy("simulating"):
         data = simulate_run(model, plan, args.model, args.rate, args.start, args.noise_seed)
     rows = write_csv(data, args.out)

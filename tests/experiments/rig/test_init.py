@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daq.rig import load_rig
-from drivers import i2c_bus
+from drivers import drive_rate_hz, i2c_bus
 from drivers.mock.plant import StillPlant
 from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
@@ -40,8 +40,8 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
 
 def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
-    asked = answers("", "", "9.8101", "wide", "0.17", "", "50", "0.85", "/dev/ttyUSB3", "1000", "-1", "1.5", "12", "",
-                    "2.2")
+    asked = answers("", "", "9.8101", "wide", "0.17", "", "50", "legid", "/dev/ttyUSB3", "0.85", "1000", "-1", "1.5",
+                    "12", "", "2.2")
     assert main(["init", str(path)]) == 0
     rig = load_rig(path)
     assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
@@ -59,16 +59,17 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: py
     assert "[0.2]" in asked[3] and asked[3] == asked[4]
     text = path.read_text()
     assert "pivot to IMU along link 1 [m]\n" in text  # given, hence not marked
-    assert text.count("ASSUMED, please measure") == 3  # knee zero, shunt offset, mount
+    assert text.count("ASSUMED, please measure") == 4  # knee zero, shunt offset, mount; Enter kept the hip's limit
+    assert next(line for line in text.splitlines() if line.startswith("q1_rad")).endswith("ASSUMED, please measure")
 
 
 def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Callable[..., list[str]],
                                                    capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
-    asked = answers("", "", "", "0.17", "none", "50", "", "none")
+    asked = answers("", "", "", "0.17", "none", "50", "none")
     assert main(["init", str(path)]) == 0
     rig, text = load_rig(path), path.read_text()
-    assert len(asked) == 8 and rig.devices.controller is None and rig.devices.imu is None
+    assert len(asked) == 7 and rig.devices.controller is None and rig.devices.imu is None
     assert rig.imus[0].lever_arm_m == 0.17 and rig.motor.gear_ratio == 50.0
     assert "ASSUMED, please" not in text and "[limits]\n" not in text and "doctor" not in text
     assert "rig.toml: written. Next: legid import FILE..., then legid fit" in capsys.readouterr().out
@@ -76,7 +77,7 @@ def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Call
 
 def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
     path = tmp_path / "chain.toml"
-    answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "")
+    answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "", "")
     assert main(["init", str(path)]) == 0
     rig = load_rig(path)
     assert (rig.mechanism.model, rig.mechanism.links, rig.mechanism.actuated) == ("chain", 3, (2, 3))
@@ -84,6 +85,28 @@ def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]]) -> No
     assert rig.devices.controller is not None
     assert rig.devices.controller.can == {"interface": "socketcan", "channel": "can0"}
     assert rig.devices.controller.node == 5
+
+
+def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]],
+                           capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    answers("", "", "", "0.2", "", "6", "motor", "moteus", "moteus", "/dev/fdcanusb", "3", "0.5", "", "2", "", "", "")
+    assert main(["init", str(path)]) == 0
+    controller, text, out = load_rig(path).devices.controller, path.read_text(), capsys.readouterr().out
+    assert controller is not None
+    assert (controller.kind, controller.port, controller.node) == ("moteus", "/dev/fdcanusb", 3)
+    assert controller.rate_hz == drive_rate_hz("moteus")
+    assert "motor is none of" in out and "moteus is no place: give a serial port" in out
+    marked = {line.split()[0] for line in text.splitlines() if line.endswith("ASSUMED, please measure")}
+    assert {"speed_radps", "q1_rad", "q2_rad", "rate_hz", "side", "sign"} <= marked
+    assert not {"torque_nm", "gear_ratio", "torque_constant_nm_per_a", "lever_arm_m"} & marked
+
+
+def test_a_single_joint_has_no_second_limit(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
+    asked = answers("joint1", "", "", "9", "odrive", "can0", "1", "0.4", "", "", "", "")
+    assert main(["init", str(tmp_path / "rig.toml")]) == 0
+    assert not any("second joint" in question for question in asked)
+    assert load_rig(tmp_path / "rig.toml").motor.gear_ratio == 9.0
 
 
 def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[str]],
@@ -104,7 +127,7 @@ def test_answers_that_end_early_or_do_not_fit(tmp_path: Path, answers: Callable[
     answers("leg2", "2")
     assert main(["init", str(path)]) == 2
     assert "end before the questions" in capsys.readouterr().err
-    answers("", "7", *[""] * 12)  # leg2 has no joint 7
+    answers("", "7", *[""] * 13)  # leg2 has no joint 7
     assert main(["init", str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["init", str(path), "--port", "/dev/x"]) == 2

@@ -1,0 +1,2 @@
+from .column import Look as Look
+from .column import look as look

@@ -1,0 +1,201 @@
+"""`look`: the readings of one clock, each column by its kind, with what a device cannot have measured."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import FloatArray
+from daq.errors import InputError
+from daq.findings import ReadingFault
+from daq.looks.jumps import find_jumps, held_before, take_turns, unwrapped
+from daq.looks.plateaus import flat_tops, frozen_noise, plateaus_of, repeats
+
+ANGLE = re.compile(r"q\d+_(rad|m)|q2_motor_rad")
+TORQUE = re.compile(r"tau\d+_(nm|n)|tau2_shunt_nm")
+IMU = re.compile(r"gyro\d*_radps|accel\d*_[xy]_mps2")
+PAUSE_PERIODS, AROUND_PAUSE = 1.5, 2
+"""Behind a longer pause an angle may be elsewhere, and so many stamps next to it may be late."""
+MOST_ISOLATED, MOST_STEPS = 0.02, 10
+"""Share of isolated wrong readings, and number of steps, beyond which a column is refused."""
+DENORMAL = 1e-300
+"""Smaller numbers are memory that nobody wrote to, read as a double."""
+TOLD = 3
+"""Places that are named one by one."""
+
+
+class Look(NamedTuple):
+    """Columns as they can be used."""
+
+    columns: dict[str, FloatArray]
+    """(n,) each; readings that are left out are NaN."""
+    left_out: dict[str, NDArray[np.bool_]]
+    """Column -> (n,) readings over which nothing may be interpolated."""
+    faults: tuple[ReadingFault, ...]
+
+
+class _Found(NamedTuple):
+    x: FloatArray
+    faults: list[ReadingFault]
+    unknown: NDArray[np.bool_]
+    """(n,) readings of which only a bound is known, or nothing for long."""
+
+
+def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a run") -> Look:
+    """Columns (n,) at `time_s` (n,) with their faults: angles unwrapped, wrong readings left out, steps of the zero
+    taken back. Columns that are no reading (commands, temperatures, a user's own) stay as they are.
+
+    Raises `InputError` naming `where` for a column that holds two series in turn, or too many jumps.
+    """
+    out, left, faults = dict(columns), dict[str, NDArray[np.bool_]](), list[ReadingFault]()
+    for name, values in columns.items():
+        known = np.flatnonzero(np.isfinite(values))
+        kind = next((of for pattern, of in _KINDS if pattern.fullmatch(name)), None)
+        if kind is None or known.size < 2:
+            continue
+        found = kind(name, time_s[known], values[known], where)
+        if not found.faults:
+            continue
+        faults += [_at_rows(fault, known) for fault in found.faults]
+        out[name] = np.full(values.shape, np.nan)
+        out[name][known] = found.x
+        if found.unknown.any():
+            left[name] = np.zeros(values.shape, bool)
+            left[name][known[found.unknown]] = True
+    return Look(out, left, tuple(faults))
+
+
+def _at_rows(fault: ReadingFault, known: NDArray[np.intp]) -> ReadingFault:
+    rows = tuple((int(known[a]) + 1, int(known[b]) + 1) for a, b in fault.rows)
+    return ReadingFault(fault.column, fault.what, rows, fault.size, fault.done,
+                        fault.text.format(row=rows[0][0], rows=_rows(rows)))
+
+
+def _rows(places: Sequence[tuple[int, int]]) -> str:
+    """Places in few words."""
+    told = [f"{a}" if a == b else f"{a} to {b}" for a, b in places[:TOLD]]
+    more = f" and {len(places) - TOLD} more" if len(places) > TOLD else ""
+    one = len(places) == 1 and places[0][0] == places[0][1]
+    return f"row{'s' * (not one)} {', '.join(told)}{more}"
+
+
+def _places(which: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+    """First and last index of each row of True."""
+    edges = np.diff(np.concatenate(([False], which, [False])).astype(np.int8))
+    return tuple(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist()))
+
+
+def _unit(name: str) -> str:
+    unit = name.rpartition("_")[2]
+    return {"nm": "N m", "n": "N", "radps": "rad/s", "mps2": "m/s2"}.get(unit, unit)
+
+
+def _look_at_torque(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+    """Torques that are no number of a device, and flat tops."""
+    none = np.zeros(x.size, bool)
+    tiny = (x != 0.0) & (np.abs(x) < DENORMAL)
+    if tiny.any():
+        rows = _places(tiny)
+        text = (f"{name} holds {int(tiny.sum())} readings below {DENORMAL:g}: memory that nobody wrote to, taken for "
+                "zero")
+        fault = ReadingFault(name, "denormal", rows, float(np.abs(x[tiny]).max()), "kept", text)
+        return _Found(np.where(tiny, 0.0, x), [fault], none)
+    return _clipped(name, x)
+
+
+def _clipped(name: str, x: FloatArray) -> _Found:
+    levels = flat_tops(x)
+    if not levels:
+        return _Found(x, [], np.zeros(x.size, bool))
+    at = np.isin(x, levels)
+    told = f"+-{levels[1]:.6g}" if len(levels) > 1 and levels[0] == -levels[1] else \
+        " and ".join(f"{level:.6g}" for level in levels)
+    text = (f"{name} stands at exactly {told} {_unit(name)} in {100.0 * at.mean():.2g} % of the samples (first in row "
+            "{row}): the end of a sensor's range, or a drive's limit. They and their neighbours are left out")
+    fault = ReadingFault(name, "clipped", _places(at), max(map(abs, levels)), "left_out", text)
+    # A neighbour is there only because its noise kept it below the limit: with it, estimates are biased low.
+    near = np.convolve(at, np.ones(3))[1:-1] > 0.5
+    return _Found(np.where(near, np.nan, x), [fault], near)
+
+
+def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+    """Flat tops, and readings that repeat though the sensor's noise moves the last digit."""
+    found = _clipped(name, x)
+    held = np.zeros(x.size, bool)
+    for start, stop in frozen_noise(x):
+        held[start + 1:stop] = True
+    held &= ~found.unknown
+    if not held.any():
+        return found
+    text = f"{name} repeats one reading in {{rows}}: the sensor hangs. These samples are left out"
+    fault = ReadingFault(name, "frozen", _places(held), float(held.sum()), "left_out", text)
+    return _Found(np.where(held, np.nan, found.x), [*found.faults, fault], found.unknown | held)
+
+
+def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+    """Two series in turn are refused; then wraps, frozen and isolated readings, and steps of the zero."""
+    faults = list[ReadingFault]()
+    none = np.zeros(x.size, bool)
+    wraps = unwrapped(x) if name.endswith("_rad") else None
+    if wraps is not None:
+        x, modulus, at = wraps
+        text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a "
+                "wrapped angle, unwrapped")
+        faults.append(ReadingFault(name, "wrapped", tuple((k, k) for k in at.tolist()), modulus, "unwrapped", text))
+    times = repeats(x)
+    if times > 1:
+        places = plateaus_of(x)
+        again = np.ones(x.size, bool)
+        again[places.start] = False
+        text = f"{name} repeats each reading {times} times: it is sampled more slowly. The repeats are left out"
+        faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
+        return _Found(np.where(again, np.nan, x), faults, none)
+    if take_turns(x):
+        raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
+                         "other reading is near", "write each sender into a column of its own")
+    found = _jumps(name, time_s, x, where)
+    return _Found(found.x, [*faults, *found.faults], found.unknown)
+
+
+def _jumps(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+    period = float(np.median(np.diff(time_s)))
+    pause = np.diff(time_s) > PAUSE_PERIODS * period
+    jumps = find_jumps(x, np.convolve(pause, np.ones(2 * AROUND_PAUSE + 1))[AROUND_PAUSE:][:pause.size] > 0.5)
+    if len(jumps.isolated) > MOST_ISOLATED * x.size or len(jumps.steps) > MOST_STEPS:
+        first = min([place for place, _ in (*jumps.isolated, *jumps.steps)])
+        raise InputError(f"{where}, column {name}", f"jumps {len(jumps.isolated) + len(jumps.steps)} times as no joint "
+                         f"can, first in row {first + 1}", "check the encoder and its cable, and that one device alone "
+                         "writes this column")
+    out, unit, faults, frozen = x.copy(), _unit(name), list[ReadingFault](), np.zeros(x.size, bool)
+    for first, size in jumps.steps:
+        start = held_before(x, first)
+        if start < first:
+            frozen[start + 1:first] = True
+            continue
+        out[first:] -= size
+        text = (f"{name} steps by {size:.3g} {unit} at {time_s[first]:.6g} s (row {{row}}): its zero has changed. The "
+                "angles behind it are moved back by that")
+        faults.append(ReadingFault(name, "stepped", ((first, first),), size, "joined", text))
+    off = np.zeros(x.size, bool)
+    worst = 0.0
+    for first, stop in jumps.isolated:
+        off[first:stop] = True
+        worst = max(worst, abs(float(x[first] - 0.5 * (x[first - 1] + x[stop]))))
+    if off.any():
+        many = f"{int(off.sum())} readings by up to" if off.sum() > 1 else "one reading by"
+        text = (f"{name} is off in {many} {worst:.3g} {unit} ({{rows}}): no joint moves there and back within "
+                f"{1e3 * period:.3g} ms. Left out")
+        faults.append(ReadingFault(name, "isolated", _places(off), worst, "left_out", text))
+    if frozen.any():
+        text = f"{name} stands still in {{rows}}, and then jumps: the sensor hung. These samples are left out"
+        faults.append(ReadingFault(name, "frozen", _places(frozen), float(frozen.sum()), "left_out", text))
+    out[off | frozen] = np.nan
+    return _Found(out, faults, frozen)
+
+
+_KINDS: tuple[tuple[re.Pattern[str], Callable[[str, FloatArray, FloatArray, str], _Found]], ...] = (
+    (ANGLE, _look_at_angle), (TORQUE, _look_at_torque), (IMU, _look_at_imu))

@@ -1,0 +1,212 @@
+"""Looks at columns: each fault is named at its place, healthy columns are left alone."""
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from daq.errors import InputError
+from daq.looks import Look, look
+from daq.runs.counter import unwrapped_counter
+from daq.runs.csv_run import RawTable
+from daq.timing.resample import align_table
+
+RATE_HZ = 200.0
+T = np.arange(3000) / RATE_HZ
+
+
+def motion(seed: int = 1, size: float = 1.2) -> np.ndarray:
+    """(3000,) an angle [rad] of several tones with an encoder's noise."""
+    rng = np.random.default_rng(seed)
+    tones, phases = rng.uniform(0.4, 2.2, 5), rng.uniform(0.0, 2.0 * np.pi, 5)
+    return size * np.mean(np.sin(2.0 * np.pi * np.outer(T, tones) + phases), axis=1) + 4e-4 * rng.normal(size=T.size)
+
+
+def torque(seed: int = 2, noise: float = 0.01) -> np.ndarray:
+    return 3.0 * motion(seed) + noise * np.random.default_rng(seed + 50).normal(size=T.size)
+
+
+def seen(name: str, values: np.ndarray) -> Look:
+    return look(T, {name: values})
+
+
+def test_healthy_columns_stay_as_they_are() -> None:
+    columns = {"q1_rad": motion(), "q2_rad": np.round(motion(3) / 1.5e-3) * 1.5e-3, "tau2_nm": torque(),
+               "tau1_nm": np.zeros(T.size), "gyro_radps": np.gradient(motion(4)) * RATE_HZ,
+               "temperature_degc": np.round(25.0 + T)}
+    found = look(T, columns)
+    assert not found.faults and not found.left_out
+    for name, values in columns.items():
+        np.testing.assert_array_equal(found.columns[name], values)
+
+
+def with_neighbours(at: np.ndarray) -> np.ndarray:
+    return np.asarray(at | np.append(at[1:], False) | np.append(False, at[:-1]))
+
+
+@pytest.mark.parametrize("quantum", [0.0, 1e-3, 0.02])
+@pytest.mark.parametrize("sides", [(-1.0, 1.0), (1.0,), (-1.0,)])
+def test_a_clipped_torque_is_left_out(quantum: float, sides: tuple[float, ...]) -> None:
+    whole = torque()
+    level = float(np.quantile(np.abs(whole), 0.9))
+    level = round(level / quantum) * quantum if quantum else level
+    whole = np.round(whole / quantum) * quantum if quantum else whole
+    clipped = np.clip(whole, -level if -1.0 in sides else None, level if 1.0 in sides else None)
+    found = seen("tau2_nm", clipped)
+    (fault,) = found.faults
+    assert (fault.what, fault.done, fault.column) == ("clipped", "left_out", "tau2_nm")
+    assert fault.size == pytest.approx(level)
+    at = np.isin(clipped, [side * level for side in sides])
+    np.testing.assert_array_equal(np.isnan(found.columns["tau2_nm"]), with_neighbours(at))
+    np.testing.assert_array_equal(found.left_out["tau2_nm"], with_neighbours(at))
+    assert sum(stop - start + 1 for start, stop in fault.rows) == at.sum()
+
+
+@pytest.mark.parametrize("values", [
+    np.where(np.sin(3.0 * T) > 0.0, 1.0, -1.0), np.round(2.0 * np.sin(T)) / 2.0,
+    np.round(np.sin(T) / 0.05) * 0.05, np.maximum(np.sin(3.0 * T), 0.0)])
+def test_square_waves_staircases_and_a_motor_that_is_off_are_not_clipped(values: np.ndarray) -> None:
+    assert not seen("tau1_nm", values).faults
+
+
+def test_a_command_is_no_reading() -> None:
+    assert not seen("tau2_cmd_nm", np.clip(torque(), -1.0, 1.0)).faults
+
+
+@pytest.mark.parametrize(("low", "modulus"), [(-np.pi, 2 * np.pi), (0.0, 2 * np.pi), (-np.pi / 2, np.pi), (0.2, 2.5)])
+def test_a_wrapped_angle_is_unwrapped(low: float, modulus: float) -> None:
+    angle = motion(size=4.0) + low
+    wrapped = low + (angle - low) % modulus
+    (fault,) = (found := seen("q2_rad", wrapped)).faults
+    assert fault.what == "wrapped" and fault.size == pytest.approx(modulus, rel=2e-3)
+    turned = found.columns["q2_rad"] - angle
+    assert np.ptp(turned) < 2e-3 * modulus * len(fault.rows)
+    assert len(fault.rows) == np.sum(np.abs(np.diff(wrapped)) > 0.5 * modulus)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize("size", [0.4, -3.0, 100.0])
+def test_readings_that_are_off_alone_are_left_out(length: int, size: float) -> None:
+    angle = motion()
+    angle[903:903 + length] += size
+    (fault,) = (found := seen("q1_rad", angle)).faults
+    assert (fault.what, fault.rows) == ("isolated", ((904, 903 + length),))
+    assert fault.size == pytest.approx(abs(size), rel=0.05)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found.columns["q1_rad"])), 903 + np.arange(length))
+    assert "row" in str(fault) and "904" in str(fault)
+
+
+@pytest.mark.parametrize("size", [0.3, -0.9])
+def test_a_step_of_the_zero_is_taken_back(size: float) -> None:
+    angle = motion()
+    stepped = angle + np.where(np.arange(T.size) >= 1600, size, 0.0)
+    (fault,) = (found := seen("q1_rad", stepped)).faults
+    assert (fault.what, fault.rows, fault.done) == ("stepped", ((1601, 1601),), "joined")
+    np.testing.assert_allclose(found.columns["q1_rad"], angle, atol=4e-3)
+
+
+def test_a_pause_may_end_elsewhere() -> None:
+    angle, behind = motion(), np.arange(T.size) >= 1600
+    assert not look(T + 2.0 * behind, {"q1_rad": angle + 0.4 * behind}).faults
+
+
+def test_a_stamp_next_to_a_pause_may_be_late() -> None:
+    """As on a public record: the step in the readings comes one sample behind the pause in the stamps."""
+    fast = 20.0 * T
+    time = T + np.where(np.arange(T.size) >= 1600, 3.0 / RATE_HZ, 0.0)
+    angle = np.sin(fast) + np.where(np.arange(T.size) >= 1602, 3.0 * 20.0 / RATE_HZ, 0.0)
+    assert not look(time, {"q1_rad": angle}).faults
+
+
+def test_a_sensor_that_hangs_is_left_out() -> None:
+    angle = motion(size=3.0)
+    angle[1020:1080] = angle[1020]
+    (fault,) = (found := seen("q1_rad", angle)).faults
+    assert (fault.what, fault.rows) == ("frozen", ((1022, 1080),))
+    assert found.left_out["q1_rad"].sum() == 59
+    gyro = np.gradient(motion()) * RATE_HZ + 0.1 * np.random.default_rng(3).normal(size=T.size)
+    gyro[500:520] = gyro[500]
+    (fault,) = seen("gyro_radps", gyro).faults
+    assert (fault.what, fault.rows) == ("frozen", ((502, 520),))
+
+
+def test_a_slow_sensor_without_noise_does_not_hang() -> None:
+    assert not seen("accel_x_mps2", np.round(0.3 * np.sin(2.0 * T) / 1e-3) * 1e-3).faults
+
+
+def test_a_joint_at_rest_is_no_sensor_that_hangs() -> None:
+    angle = np.round(motion() / 1.5e-3) * 1.5e-3
+    angle[1000:1500] = angle[1000]
+    angle[1500:] += angle[1000] - angle[1500]
+    assert not seen("q1_rad", angle).faults
+
+
+@pytest.mark.parametrize("times", [2, 3, 5])
+def test_repeats_of_a_slower_sensor_are_left_out(times: int) -> None:
+    slow = motion(size=3.0)[::times].repeat(times)[:T.size]
+    (fault,) = (found := seen("q1_rad", slow)).faults
+    assert (fault.what, fault.size) == ("repeated", times)
+    assert np.isfinite(found.columns["q1_rad"]).sum() == len(range(0, T.size, times))
+    run = align_table(RawTable("r", T, {"q1_rad": slow, "tau1_nm": torque()}), RATE_HZ)
+    assert run.gap(["q1_rad"]).sum() < 10
+
+
+@pytest.mark.parametrize("order", [np.arange(T.size) % 2, np.random.default_rng(5).integers(0, 2, T.size)])
+def test_two_senders_in_turn_are_refused(order: np.ndarray) -> None:
+    with pytest.raises(InputError, match="two series take turns") as told:
+        look(T, {"q1_rad": np.where(order == 0, motion(), 2.0 + motion(7))}, "log.csv")
+    assert "log.csv, column q1_rad" in str(told.value)
+
+
+def test_an_encoder_that_jumps_all_the_time_is_refused() -> None:
+    angle = motion() + np.cumsum(np.where(np.random.default_rng(8).random(T.size) < 0.01, 1.0, 0.0))
+    with pytest.raises(InputError, match="times as no joint can"):
+        look(T, {"q1_rad": angle})
+
+
+def test_memory_that_nobody_wrote_to_is_zero() -> None:
+    (fault,) = (found := seen("tau1_nm", -5.38e-310 * np.arange(T.size))).faults
+    assert fault.what == "denormal" and not found.columns["tau1_nm"].any()
+
+
+def test_two_faults_in_one_column_are_both_found() -> None:
+    angle = motion(size=4.0) % (2.0 * np.pi) - np.pi
+    clear = int(np.argmin(np.abs(angle)))
+    angle[clear] += 1.5
+    assert [fault.what for fault in seen("q1_rad", angle).faults] == ["wrapped", "isolated"]
+
+
+def aligned(rate_hz: float) -> Dataset:
+    return align_table(RawTable("r", T, {"q1_rad": motion(), "tau1_nm": np.clip(torque(), -1.0, 1.0)}), rate_hz)
+
+
+def test_a_flat_top_is_a_gap_on_every_grid() -> None:
+    clipped = with_neighbours(np.abs(torque()) >= 1.0)
+    run = aligned(RATE_HZ)
+    np.testing.assert_array_equal(run.gap(["tau1_nm"]), clipped)
+    assert not run.gap(["q1_rad"]).any()
+    assert [(flag.kind, fault.what) for flag, fault in zip(run.flags, run.readings)] == [("readings", "clipped")]
+    coarse = aligned(50.0)  # each a mean of four samples
+    around = [clipped[np.abs(T - t) < 0.0101].any() for t in coarse.time_s]
+    np.testing.assert_array_equal(coarse.gap(["tau1_nm"]), around)
+    fine = aligned(400.0)
+    assert np.nanmax(np.abs(fine["tau1_nm"])) < 1.05
+
+
+@pytest.mark.parametrize(("modulus", "period"), [(2.0**32 * 1e-6, 0.004), (65.536, 0.01), (86400.0, 1.0)])
+def test_a_counter_that_wraps_goes_on(modulus: float, period: float) -> None:
+    time = modulus - 30.5 * period + period * np.arange(100)
+    found = unwrapped_counter(np.asarray(time % modulus, np.float64))
+    assert found is not None and found[1] == pytest.approx(modulus) and found[2].tolist() == [31]
+    np.testing.assert_allclose(np.diff(found[0]), period, rtol=1e-5)
+
+
+def test_a_counter_in_its_own_unit_wraps_by_its_bits() -> None:
+    ticks = (2.0**32 - 1e4 + 1000.0 * np.arange(50)) % 2.0**32
+    found = unwrapped_counter(np.asarray(ticks, np.float64), 1e-6)
+    assert found is not None and found[1] == 2.0**32
+
+
+@pytest.mark.parametrize("time", [np.arange(50.0), np.append(np.arange(30.0), np.arange(10.0, 30.0)),
+                                  np.random.default_rng(1).random(50)])
+def test_times_that_increase_or_are_unsorted_are_no_counter(time: np.ndarray) -> None:
+    assert unwrapped_counter(np.asarray(time, np.float64)) is None

@@ -1,0 +1,38 @@
+"""A recording whose current sensor is at the end of its range: said when it ends, by info, by runs and by a fit."""
+
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording import write_plan
+from drivers.mock.emulator import FirmwareEmulator
+from experiments.cli import main
+from experiments.excite import random_multisine
+
+RANGE_A = 0.5
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                         capsys: pytest.CaptureFixture[str]) -> None:
+    whole = FirmwareEmulator._telemetry
+
+    def within(self: FirmwareEmulator, *args: object) -> object:
+        frame = whole(self, *args)  # type: ignore[arg-type]
+        return replace(frame, current_a=float(np.clip(frame.current_a, -RANGE_A, RANGE_A))) if clipped else frame
+
+    monkeypatch.setattr(FirmwareEmulator, "_telemetry", within)
+    rig, plan, run = tmp_path / "rig.toml", tmp_path / "plan.csv", tmp_path / "run.mcap"
+    rig.write_text((files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8").replace(
+        "[limits]", "[limits]\ntorque_band_nm = 0.6"))  # else the supervisor stops the motor
+    write_plan(random_multisine(7, 4.0, 0.6), plan)
+    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(run), "--emulate"]) == 0
+    told = "tau2_nm stands at exactly"
+    assert (told in capsys.readouterr().err) == clipped
+    for command in (["info", str(run)], ["runs", str(tmp_path)], ["fit", str(run), "--rig", str(rig)]):
+        assert main(command) == 0
+        out = capsys.readouterr().out
+        assert (("faulty readings" if command[0] == "runs" else told) in out) == clipped

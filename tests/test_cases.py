@@ -1,0 +1,91 @@
+"""The shared cases of faulty inputs, each through the command that a user types. Skipped where they are not there."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import main
+from tests.support.paths import CASES
+
+pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not beside the checkout")
+LEG = {"beta1": 0.10128, "beta2": 0.02368, "beta3": 0.0336, "beta4": 0.384, "beta5": 0.112}
+PENDULUM = {"beta1": 0.05, "beta2": 0.12}
+
+
+@pytest.mark.parametrize(("run", "rig", "truth", "percent", "told"), [
+    ("torque_clipped/r1.csv", "rig.toml", LEG, 2.0, "stands at exactly +-1.2 N m in 11 % of the samples"),
+    ("torque_clipped/r6.csv", "rig.toml", LEG, 2.0, "stands at exactly +-1.2 N m in 14 % of the samples"),
+    ("torque_clipped/clip0.6_r1.csv", "rig.toml", LEG, 2.0, "stands at exactly +-0.6 N m in 38 % of the samples"),
+    ("encoder_wrap/wrap.csv", "rigj.toml", PENDULUM, 0.5, "q1_rad jumps by 6.283 rad 14 times"),
+    ("encoder_wrap/leg.csv", "leg_rig.toml", LEG, 0.5, "q2_rad jumps by 3.142 rad 28 times"),
+    ("encoder_one_bad_reading/glitch1.csv", "rigj.toml", PENDULUM, 0.5, "off in one reading by 3.14 rad (row 901)"),
+    ("encoder_one_bad_reading/leg.csv", "leg_rig.toml", LEG, 0.5, "off in one reading by 3.14 rad (row 702)"),
+    ("encoder_rezero/rezero.csv", "rigj.toml", PENDULUM, 1.0, "q1_rad steps by 0.37 rad at 8.0"),
+    ("encoder_rezero/leg.csv", "leg_rig.toml", LEG, 1.0, "q2_rad steps by 0.368 rad at 8.0")])
+def test_a_fit_names_the_readings_and_is_right(run: str, rig: str, truth: dict[str, float], percent: float, told: str,
+                                               tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = CASES / run
+    assert main(["fit", str(file), "--rig", str(file.parent / rig), "--json", str(tmp_path / "f.json")]) == 0
+    assert told in capsys.readouterr().out
+    document = json.loads((tmp_path / "f.json").read_text())
+    values = {one["name"]: one["value"] for one in document["parameters"]}
+    for name, value in truth.items():
+        assert abs(values[name] / value - 1.0) < percent / 100.0, name
+    assert document["readings"] and document["trust"]["sentence"].startswith("TRUST")
+
+
+def test_a_gyro_of_a_wrong_scale_is_named_and_not_trusted(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = CASES / "imu_gyro_scale"
+    assert main(["fit", str(folder / "r4.csv"), "--rig", str(folder / "rig.toml")]) in (0, 1)
+    said = capsys.readouterr()
+    assert said.out.startswith("DO NOT TRUST the parameters: a sensor's scale is wrong")
+    assert "scale error -0.15" in said.out and "run legid diagnose" in said.out and "richer" not in said.err
+
+
+@pytest.mark.parametrize(("file", "options", "columns"), [
+    ("clock_text/iso.csv", [], {"q1_rad", "tau1_nm"}), ("clock_text/german.csv", [], {"q1_rad", "tau1_nm"}),
+    ("header_units/u_ndot.csv", [], {"q1_rad", "tau1_nm"}), ("header_units/ni.csv", [], {"q1_rad", "tau1_nm"}),
+    ("encoder_wrap/wrap_imp.csv", [], {"q1_rad", "tau1_nm"}),
+    ("rate_with_guess/notime.csv", ["--rate", "200"], {"q1_rad", "tau1_nm"}),
+    ("single_column/swing_head.txt", ["--rate", "500"], {"q1_rad"}),
+    ("torque_absent_two_angles/free.csv", [], {"q1_rad", "q2_rad"}),
+    ("torque_absent_two_angles/free_u.csv", [], {"q1_rad", "q2_rad"}),
+    ("parquet_lists/episode_000000.parquet", [], {"q1_rad", "tau1_nm"})])
+def test_an_import_finds_the_columns(file: str, options: list[str], columns: set[str], tmp_path: Path) -> None:
+    path, target = CASES / file, tmp_path / "c.toml"
+    assert main(["import", str(path), "--guess", "--map", str(target), *options]) == 0
+    found = set(re.findall(r"\[columns\.(\w+)\]", target.read_text())) - {"time_s"}
+    assert found == columns
+    assert main(["import", str(path), "--map", str(target), "--out", str(tmp_path), *options]) == 0
+    (run,) = tmp_path.glob("*.csv")
+    table = np.loadtxt(run, delimiter=",", skiprows=1)
+    steps = np.diff(table[:, 0])
+    assert len(table) >= 999 and np.median(steps) == pytest.approx(steps.mean(), rel=1e-3)
+
+
+@pytest.mark.parametrize(("file", "status", "told"), [
+    ("clock_text/openlog.csv", 2, "give --rate HZ"), ("clock_text/excel.csv", 2, "its times have 7 digits only"),
+    ("torque_denormal/denormal.csv", 2, "'effort' holds no torque"),
+    ("force_as_angle/force.csv", 1, "no name says which of them is the torque of which joint")])
+def test_an_import_asks_for_what_it_cannot_know(file: str, status: int, told: str, tmp_path: Path,
+                                                capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", str(CASES / file), "--guess", "--map", str(tmp_path / "c.toml")]) == status
+    said = capsys.readouterr().err
+    assert told in said and "sort the rows" not in said and "internal error" not in said
+
+
+def test_one_column_is_read_by_a_map(tmp_path: Path) -> None:
+    folder = CASES / "single_column"
+    assert main(["import", str(folder / "swing.txt"), "--map", str(folder / "map.toml"), "--rate", "500", "--out",
+                 str(tmp_path)]) == 0
+    assert len(np.loadtxt(tmp_path / "swing.csv", delimiter=",", skiprows=1)) == 4000
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_no_warning_of_python_reaches_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    folder = CASES / "numpy_warning"
+    assert main(["fit", str(folder / "slide.csv"), "--rig", str(folder / "rig.toml")]) in (0, 1)
+    assert "RuntimeWarning" not in capfd.readouterr().err
