@@ -47,8 +47,9 @@ from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.score import agreement_of, score_runs
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals, with_earlier_imu
 
-LEAST_AGE_S = 5e-4
-"""Rough age of an IMU from which on its readings are moved before the fit; less is a term of the fit [s]."""
+LEAST_AGE = (1e-3, 0.1)
+"""Rough age of an IMU, in [s] and in samples, from which on its readings are moved before the fit; less is a term of
+the fit."""
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
 DISTURBANCE_ROUNDS = 3
@@ -57,11 +58,23 @@ DISTURBANCE_ROUNDS = 3
 
 def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
     """Identify by marginal maximum likelihood; see the module's text. Raises `FitError`."""
-    start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
-    free, beta = free_mask(mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
-    signals, age_s = _without_age(signals, mechanism, options, free, beta, bound_s)
+    moved, age_s = _without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
+    if age_s:
+        found = _fit(moved, mechanism, options, bound_s, age_s)
+        if found is not None:
+            return found
+    found = _fit(signals, mechanism, options, bound_s, 0.0)
+    assert found is not None
+    return found
+
+
+def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bound_s: float, age_s: float
+         ) -> FitResult | None:
+    """`fit_mle` of segments whose IMU was moved by `age_s` [s]; None where no fit confirms that age."""
+    start = time.perf_counter()
+    free, beta = free_mask(mechanism, options)
     problem, state, chosen = _search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
@@ -74,6 +87,8 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if (bound_s > 0.0 or aged) and problem.has_imu:
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
+    if age_s and skew is None:
+        return None
     if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
@@ -136,7 +151,7 @@ def _without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOpt
     if options.hold != AUTO or bound_s > 0.0:
         return signals, 0.0
     age_s = rough_age(signals, mechanism, options, free, beta)
-    if abs(age_s) < LEAST_AGE_S:
+    if abs(age_s) < max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz):
         return signals, 0.0
     return [with_earlier_imu(s, age_s) for s in signals], age_s
 
