@@ -11,10 +11,12 @@ import json
 import math
 import os
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -163,6 +165,7 @@ class NthBench:
             sync(descriptor)
 
         RUNS._create, SYSTEM.fdatasync = lambda path: CountedFile(create(path), self), synced
+        RUNS.time = SimpleNamespace(monotonic=lambda: 1e-9 * self.clock.now_ns(), time_ns=time.time_ns)  # of its syncs
         RECORD.RunWriter = Counted
         try:
             record.record_run(self.path, parse_rig(self._text), self._text, plan, self._imu, self._controller,
@@ -172,7 +175,7 @@ class NthBench:
         except BaseException as error:
             said = f"internal error: {error!r}"
         finally:
-            RUNS._create, SYSTEM.fdatasync, RECORD.RunWriter = create, sync, RunWriter
+            RUNS._create, SYSTEM.fdatasync, RECORD.RunWriter, RUNS.time = create, sync, RunWriter, time
         if self._child is not None:
             self._answer_and_end(said)
         if said:
