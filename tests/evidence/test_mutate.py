@@ -22,7 +22,7 @@ def read_wrongly(path: Path) -> None:
     if number == 7:
         list(range(200_000_000))  # 1.6 GB
     if number == 8:
-        raise InputError("x", "two\nlines", "none")
+        raise InputError("x", "says much " * 300, "none")
     if number % 2:
         raise InputError("x", "is odd", "none")
 
