@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families compensation trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -180,6 +180,10 @@ changed-families: $(STAMP)
 # Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
 simulators: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
+
+# Causes of emulated legs undone by their drives: two minutes.
+compensation: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence compensation --out docs/evidence/compensation.md
 
 # Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
 trust: $(STAMP)
