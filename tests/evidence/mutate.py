@@ -47,7 +47,7 @@ CHUNK = 1000
 """Files after which what was found is kept."""
 MEMORY = Path("/dev/shm")
 NAMES = {"rig": "rig.toml", "plan": "plans", "csv": "CSV runs", "mcap": "MCAP runs", "model": "models", "json": "JSON",
-         "npz": "NumPy .npz", "mat": "MATLAB", "hdf5": "HDF5", "parquet": "Parquet", "text": "text tables",
+         "pickle": "pickle", "npz": "NumPy .npz", "mat": "MATLAB", "hdf5": "HDF5", "parquet": "Parquet", "text": "text tables",
          "can": "CAN logs", "db3": "ROS 2 bag, SQLite", "bag": "ROS 2 bag, MCAP", "torch": "PyTorch", "urdf": "URDF",
          "mjcf": "MJCF", "map": "maps of columns"}
 SAMPLES = 120

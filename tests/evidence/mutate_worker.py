@@ -99,7 +99,7 @@ def study(kind: Kind, first: int, files: int) -> tuple[Counter[str], list[Fault]
         if number < first + files:  # it died at this one
             kind.put(number, kind.path)
             began = used_s()
-            what, fault = _in_child(kind)
+            what, fault = in_child(kind)
             longest, number = max(longest, used_s() - began), number + 1
             counts.update(stopped=1)
             if what != "refused" or fault:
@@ -175,7 +175,7 @@ def _read_all(kind: Kind, first: int, last: int, state: mmap.mmap, to: int) -> N
     state[:] = STATE.pack(last, counts["read"], counts["refused"], worst)
 
 
-def _in_child(kind: Kind) -> tuple[str, str]:
+def in_child(kind: Kind) -> tuple[str, str]:
     """`outcome` by the command's own way in a process of its own, with the bounds of the target."""
     ours, theirs = os.pipe()
     child = os.fork()
