@@ -80,7 +80,8 @@ def paced_wrongly(telemetry: NDArray[np.void]) -> NDArray[np.bool_]:
     wrong = np.zeros(telemetry.size, bool)
     stepped, _ = tick_steps(telemetry)
     ticks = signed_us(telemetry["tick_us"].astype(np.int64)).astype(float)
-    ahead = np.diff(telemetry["seq"].astype(np.int64)) % 65536
+    seq: NDArray[np.int64] = telemetry["seq"].astype(np.int64)
+    ahead = (seq[1:] - seq[:-1]) % 65536
     next_ones = ticks[(ahead == 1) & (ticks > 0)]
     period = float(np.median(next_ones)) if next_ones.size else 0.0
     window = max(LEAST_ROWS, round(PACE_S * 1e6 / period)) if period else telemetry.size

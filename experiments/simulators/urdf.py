@@ -106,9 +106,9 @@ def _limit(found: ET.Element, limit: JointLimits) -> None:
     ET.SubElement(found, "limit", lower=repr(-limit.angle), upper=repr(limit.angle), effort=repr(limit.torque),
                   velocity=repr(limit.speed))
     if limit.torque:
-        gains = {"k_position": limit.stop_radps2 / limit.speed, "k_velocity": limit.torque / limit.speed}
         ET.SubElement(found, "safety_controller", soft_lower_limit=repr(-limit.angle),
-                      soft_upper_limit=repr(limit.angle), **{name: f"{gain:.9g}" for name, gain in gains.items()})
+                      soft_upper_limit=repr(limit.angle), k_position=f"{limit.stop_radps2 / limit.speed:.9g}",
+                      k_velocity=f"{limit.torque / limit.speed:.9g}")
 
 
 def _further(root: ET.Element, joint: JointParts, gear_ratio: float) -> None:

@@ -50,7 +50,7 @@ class Session(NamedTuple):
 
 def target(name: str, corpus: Path, options: list[str]) -> None:
     """Never returns: libFuzzer's loop over the reader of a format."""
-    import atheris  # type: ignore[import-not-found,unused-ignore]
+    import atheris  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
     with atheris.instrument_imports(include=list(READERS)):
         from tests.evidence.mutate import formats

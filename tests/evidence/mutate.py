@@ -47,8 +47,9 @@ CHUNK = 1000
 """Files after which what was found is kept."""
 MEMORY = Path("/dev/shm")
 NAMES = {"rig": "rig.toml", "plan": "plans", "csv": "CSV runs", "mcap": "MCAP runs", "model": "models", "json": "JSON",
-         "pickle": "pickle", "npz": "NumPy .npz", "mat": "MATLAB", "hdf5": "HDF5", "parquet": "Parquet", "text": "text tables",
-         "can": "CAN logs", "db3": "ROS 2 bag, SQLite", "bag": "ROS 2 bag, MCAP", "torch": "PyTorch", "urdf": "URDF",
+         "pickle": "pickle", "npz": "NumPy .npz", "mat": "MATLAB", "hdf5": "HDF5", "parquet": "Parquet",
+         "text": "text tables", "can": "CAN logs", "db3": "ROS 2 bag, SQLite", "bag": "ROS 2 bag, MCAP",
+         "torch": "PyTorch", "urdf": "URDF",
          "mjcf": "MJCF", "map": "maps of columns"}
 SAMPLES = 120
 NUMBERS = [b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e-320", b"0", b"-1", b"9" * 400, b"1e400", b"true",
@@ -236,10 +237,10 @@ def table(done: dict[str, Done]) -> str:
     """For the page."""
     lines = ["| format | files | read | refused | stopped | faults | slowest | files a second |",
              "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
-    for name, (counts, faults, took_s) in done.items():
+    for name, (counts, found, took_s) in done.items():
         cells = [f"{counts[key]:,}" for key in ("files", "read", "refused", "stopped")]
         slow = f"{counts['worst_ms'] / 1e3:.1f} s" if counts["worst_ms"] > 999 else f"{counts['worst_ms']} ms"
-        cells += [str(len(faults)), slow, f"{counts['files'] / max(took_s, 1e-9):.0f}"]
+        cells += [str(len(found)), slow, f"{counts['files'] / max(took_s, 1e-9):.0f}"]
         lines.append(f"| {' | '.join((NAMES.get(name, name), *cells))} |")
     peaks = [resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     files, faults = sum(one.counts["files"] for one in done.values()), sum(len(one.faults) for one in done.values())

@@ -25,8 +25,12 @@ def read_wrongly(path: Path) -> None:
         raise InputError("x", "is odd", "none")
 
 
+def put(number: int, path: Path) -> None:
+    path.write_text(str(number))
+
+
 def test_an_exception_a_crash_and_too_much_memory_are_faults(tmp_path: Path) -> None:
-    kind = Kind("x", tmp_path / "file", lambda number, path: path.write_text(str(number)) and None, read_wrongly)
+    kind = Kind("x", tmp_path / "file", put, read_wrongly)
     counts, faults = study(kind, 0, 12)
     assert [fault.number for fault in faults] == [3, 5, 7]
     assert [counts[key] for key in ("read", "refused", "stopped")] == [6, 5, 1]

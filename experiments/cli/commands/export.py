@@ -34,8 +34,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="with --to mujoco: runs whose first states leg.xml keeps, by name; with --to learning: "
                              "runs whose free-run error says what a simulator's joint lacks")
     parser.add_argument("--servo", metavar="NAME", default="",
-                        help="with --to learning: the actuator of the driven joint, as BAM names it, such as mx106; bam.json "
-                             "has its friction")
+                        help="with --to learning: the driven joint's actuator, as BAM names it (mx106), whose "
+                             "friction bam.json has")
     parser.add_argument("--samples", metavar="N", type=whole_number(1, 10_000), default=0,
                         help="with --to mujoco: N models more, drawn by the joint covariance of parameters and sizes")
     parser.add_argument("--seed", type=whole_number(0, 2**32), default=1, help="of --samples (default 1)")

@@ -71,3 +71,20 @@ def test_a_drive_without_a_table_is_refused(tmp_path: Path) -> None:
         cogging_settings(extended(tmp_path, VALUE), direct("odrive")[0], lambda name: 1.0, "m.json")
     with pytest.raises(InputError, match="periods a turn"):
         cogging_settings(extended(tmp_path, VALUE), direct("moteus")[0], lambda name: 0.5, "m.json")
+
+
+def test_writing_asks_the_drive_and_leaves_its_motor_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                         capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, status in (("moteus", 0), ("odrive", 2)):
+        bench = DriveBench(kind, turns=1.0, gear_ratio=1.0)
+        monkeypatch.setattr("experiments.rig.connect", lambda device, rig, bench=bench: bench.drive, raising=False)
+        save_model(extended(tmp_path, VALUE), tmp_path / f"{kind}.json")
+        (tmp_path / "rig.toml").write_text(direct(kind)[1])
+        command = ["compensate", str(tmp_path / f"{kind}.json"), "--rig", str(tmp_path / "rig.toml"), "--write"]
+        assert main(command) == status
+        assert not bench.far.record[1].any()
+        said = capsys.readouterr()
+        assert ("written, read back and kept" in said.out) == (kind == "moteus")
+        assert status == 0 or "no table" in said.err
+        if kind == "moteus":
+            assert bench.far.config["motor.cogging_dq_scale"] > 0.0
