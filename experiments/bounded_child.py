@@ -27,7 +27,7 @@ ANSWER, REFUSED = b"answer:\n", b"refused\n"
 
 
 class Bounds(NamedTuple):
-    """What reading one file may take."""
+    """Memory and time that reading one file may take."""
 
     where: str
     """The file, as messages name it."""

@@ -363,7 +363,7 @@ class Recorder:
 
 
 def ended_by(error: BaseException) -> str:
-    """What ended a recording, in words."""
+    """Words on the end of a recording."""
     if isinstance(error, MemoryError):
         return "no memory is left; close other programs"
     return "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)

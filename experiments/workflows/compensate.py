@@ -39,7 +39,7 @@ ELSEWHERE = {"torque_offset": "an error of the measured current: legid calibrate
 
 
 class Share(NamedTuple):
-    """What compensates one cause."""
+    """Means that compensate one cause."""
 
     cause: str
     where: str
@@ -58,7 +58,7 @@ class Feedforward(NamedTuple):
 
 
 def shares_of(model: Model, kind: str) -> list[Share]:
-    """What compensates each cause of the model with a drive of this kind."""
+    """Means that compensate each cause of the model with a drive of this kind."""
     (driven, *_) = build_mechanism(model.mechanism).actuated
     out = []
     for effect in model.effects:

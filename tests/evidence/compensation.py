@@ -59,8 +59,8 @@ def page(rows: Sequence[tuple[str, str, str, float, float]]) -> str:
     good = sum(after <= 0.1 * before for *_, before, after in rows)
     lines = [
         f"# A cause undone by the drive, {datetime.now(UTC):%Y-%m-%d}", "",
-        "By `make compensation`: an emulated leg records a plan of 8 s without the cause, with it, and compensated by "
-        "`legid compensate`: torque added to the plan, or a table in the drive. The cause has its true size. "
+        "By `make compensation`: an emulated leg records a plan of 8 s without the cause, with it, and compensated. "
+        "`legid compensate` adds torque to the plan, or makes a table for the drive. The cause has its true size. "
         "The distance is the knee's from the leg without the cause, rms. No real drive was tried.", "",
         f"- {good} of {len(rows)} within a tenth of the distance before.", "",
         "| cause | drive | by | before [mrad] | after [mrad] |", "| --- | --- | --- | ---: | ---: |"]
