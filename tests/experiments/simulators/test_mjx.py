@@ -1,7 +1,6 @@
 """Exported models in MJX, where it is installed: the same motion as in MuJoCo.
 
-MJX 3.17 refuses `dcmotor` (ripple, presliding friction) and leaves polynomial damping (drag) out; the table of effects
-that it holds is in docs/evidence/simulators.md.
+MJX 3.17 refuses `dcmotor` (ripple, presliding friction) and leaves polynomial damping (drag) out.
 """
 
 from pathlib import Path
