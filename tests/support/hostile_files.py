@@ -379,7 +379,7 @@ def mjcf(folder: Path, name: str, text: str) -> str:
 @attack(*INIT)
 def mjcf_texture(folder: Path) -> str:
     """An MJCF whose texture has 10^10 points."""
-    texture = '<texture type="2d" builtin="flat" width="100000" height="100000"/>'
+    texture = '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>'
     return mjcf(folder, "t.xml", f"<asset>{texture}</asset>{BODY}")
 
 
