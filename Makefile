@@ -13,8 +13,8 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families looks trust wheel arm64 \
+.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families looks compensation trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -106,10 +106,15 @@ kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
 	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --disturbed 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
 
-# Files broken in bytes and in structure through every reader; MINUTES=20 ends it.
+# Files broken in bytes and in structure through every reader, the same time for each format; MINUTES=20 ends it.
 FILES ?= 100000
 mutate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence mutate --files $(FILES) $(if $(MINUTES),--minutes $(MINUTES))
+
+# The same files, but mutated towards new code of the readers. Needs Atheris, which has wheels for x86-64 alone.
+guided: $(STAMP)
+	@$(BIN)/python -c 'import atheris' 2>/dev/null || { echo "make guided needs Atheris: $(BIN)/pip install atheris"; exit 1; }
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence guided --minutes $(or $(MINUTES),20)
 
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200
@@ -180,6 +185,10 @@ changed-families: $(STAMP)
 # Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
 simulators: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
+
+# Causes of emulated legs undone by their drives: two minutes.
+compensation: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence compensation --out docs/evidence/compensation.md
 
 # Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
 trust: $(STAMP)

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
+from typing import Literal, overload
 
 import numpy as np
 
@@ -61,6 +61,7 @@ from experiments.workflows import (
     reference_values,
     simulate_run,
     tune_runs,
+    validate_in_mujoco,
     validate_prepared,
     watcher_of,
     with_reference_terms,
@@ -134,8 +135,11 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
 
 
 def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
-             against: Model | None = None, horizons_s: Sequence[float] | None = None) -> Validations:
+             against: Model | None = None, horizons_s: Sequence[float] | None = None,
+             simulator: Literal["legid", "mujoco"] = "legid") -> Validations:
     """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
+
+    `simulator="mujoco"`: by MuJoCo, with what `legid export --to mujoco` writes.
 
     Each gap-free segment is simulated from its first state under its measured torque alone. A list of one `Validation`
     a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects.
@@ -147,7 +151,10 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
     given, known = _given(runs, rig)
     prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
     files = sources_of(given)
-    return Validations.of(validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s)), files)
+    found = validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s))
+    if simulator == "mujoco":
+        found = validate_in_mujoco(model, found, "the model")
+    return Validations.of(found, files)
 
 
 @overload

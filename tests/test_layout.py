@@ -21,7 +21,7 @@ ROOMS = {
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs"], ["fitting"], ["prediction"],
                   ["diagnosis", "calibration", "change"]],
-    "experiments": [["console", "provenance"], ["models"], ["exchange", "simulators"],
+    "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
                     ["rig", "excite", "emulation", "session"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results", "listings", "changes"], ["api", "tools"]],

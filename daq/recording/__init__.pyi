@@ -7,9 +7,9 @@ from .plan import Plan as Plan
 from .plan import check_drive as check_drive
 from .plan import read_plan as read_plan
 from .plan import write_plan as write_plan
+from .record import record_run as record_run
 from .recorder import Progress as Progress
 from .recorder import RecordReport as RecordReport
-from .recorder import record_run as record_run
 from .remote import ALIVE as ALIVE
 from .remote import EMERGENCY as EMERGENCY
 from .remote import PACKET_BYTES as PACKET_BYTES

@@ -6,16 +6,15 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import msgspec
 
 from daq.errors import WorkError
-from daq.recording.facts import describe_devices, program_facts
+from daq.recording.facts import describe_devices
 from daq.recording.host_load import HostLoad, busy_words
 from daq.recording.intake import ControllerIntake, ImuIntake, Sink
-from daq.recording.plan import Plan, check_drive, check_gyro, check_plan
+from daq.recording.plan import Plan
 from daq.recording.remote import LOST, Ending, Remote, Status
 from daq.recording.senses import Senses
 from daq.recording.sensors import SensorIntakes, Sensors
@@ -111,7 +110,7 @@ class Recorder:
                 self._start_threads()
                 self._run(plan)
         except (WorkError, DriverError, KeyboardInterrupt, MemoryError) as error:
-            why = _words(error)
+            why = ended_by(error)
             kind = self._kind(error)
             busy = busy_words(self._load.stalled_s(self._now_ns()))
             if busy and kind in ("lost", "failed") and not isinstance(error, LOST):  # these are certain
@@ -363,33 +362,8 @@ class Recorder:
         self._disk.start("writer", self._queue.turn)
 
 
-def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: Drive,
-               now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
-               progress: Progress | None = None, remark: str = "", remote: Remote | None = None,
-               sensors: Sensors | None = None) -> RecordReport:
-    """Record `plan` over open devices into a new run file that holds all that a later refit needs.
-
-    `remark` is the file's first event: what whoever reads it should know of this recording. `remote` watches it and can
-    stop it. `sensors` are recorded too.
-    """
-    check_plan(plan, rig, controller)
-    check_drive(rig, controller)
-    check_gyro(rig, imu)
-    writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, program_facts(rig, now_ns()))
-    try:
-        if remark:
-            writer.event(now_ns(), "remark", remark)
-        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote, sensors)
-    except BaseException as error:
-        writer.close()
-        if isinstance(error, MemoryError):
-            raise WorkError(_words(error)) from None
-        raise
-    return recorder.record(plan)  # which closes the file, whatever happens
-
-
-def _words(error: BaseException) -> str:
-    """What ended a recording."""
+def ended_by(error: BaseException) -> str:
+    """Words on the end of a recording."""
     if isinstance(error, MemoryError):
         return "no memory is left; close other programs"
     return "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)

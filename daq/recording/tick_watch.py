@@ -17,6 +17,8 @@ RATE_S, RATE_SHARE = 2.0, 1e-3
 SLACK_US = 300.0
 APART_US, LATE_US = 2e3, 20e3
 """The least wait between a tick and its arrival may fall and rise by this within a window [us]."""
+PACE_US, PACE_SHARE = 250e3, 1e-3
+"""The ticks a sequence number, over this time [us], may change by this share."""
 WINDOW_NS = 500_000_000
 QUIET_NS = 1_000_000_000
 """One event a second: a clock that stands still is off at every sample."""
@@ -35,6 +37,9 @@ class TickWatch:
         self._probes: deque[tuple[float, float, float]] = deque(maxlen=400)
         """(host time, tick, round trip) [us], the tick without wraps."""
         self._first_rate: float | None = None
+        self._first_pace: float | None = None
+        self._paced_us = self._late_us = 0.0
+        """Since the window of the pace began: ticks that the sequence asks for, and those beyond them."""
         self._least = self._sound = float("inf")
         self._window_ns = self._said_ns = 0
         self._behind = False
@@ -42,7 +47,8 @@ class TickWatch:
 
     def restart(self) -> None:
         """A new boot: its clock has another zero."""
-        self._last, self._first_rate = None, None
+        self._last, self._first_rate, self._first_pace = None, None, None
+        self._paced_us = self._late_us = 0.0
         self._probes.clear()
         self._least = self._sound = float("inf")
 
@@ -59,9 +65,26 @@ class TickWatch:
         off_us = ticks - ahead * self._period_us
         if abs(off_us) > STEP_SHARE * self._period_us + STEP_US:
             self._least, self._sound, self._behind = float("inf"), float("inf"), True
+            self._paced_us = self._late_us = 0.0
             return self._say(host_ns, "its tick stands still" if ticks == 0 else
                              f"its tick stepped by {off_us * 1e-3:+.1f} ms in the telemetry")
-        return self._waited(frame, host_ns)
+        return self._paced(ahead * self._period_us, off_us, host_ns) or self._waited(frame, host_ns)
+
+    def _paced(self, due_us: float, off_us: float, host_ns: int) -> str:
+        """Whether the tick advances as far a sequence number as in the first window: both count by one clock."""
+        self._paced_us += due_us
+        self._late_us += off_us
+        if self._paced_us < PACE_US:
+            return ""
+        pace, allowed = self._late_us / self._paced_us, PACE_SHARE + STEP_US / self._paced_us
+        self._paced_us = self._late_us = 0.0
+        if self._first_pace is None:
+            self._first_pace = pace
+            return ""
+        if abs(pace - self._first_pace) <= allowed:
+            return ""
+        return self._say(host_ns, f"the rate of the telemetry's tick changed by "
+                                  f"{1e6 * (pace - self._first_pace):+.0f} ppm")
 
     def _waited(self, frame: Telemetry, host_ns: int) -> str:
         """Whether the sample came as long after its tick, by the newest probe, as others did."""

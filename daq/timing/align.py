@@ -17,7 +17,18 @@ from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
-from daq.timing.clock_faults import LEAST_PROBES, LEAST_ROWS, Piece, contradicting, pieces_of
+from daq.timing.clock_faults import (
+    LEAST_PROBES,
+    LEAST_ROWS,
+    UNTIMED_RATIO,
+    UNTIMED_S,
+    Piece,
+    apart,
+    contradicting,
+    paced_wrongly,
+    pieces_of,
+    runs_of,
+)
 from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
@@ -173,17 +184,27 @@ def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int, as
         pieces = [Piece(rows[piece.rows], piece.probes) for piece in pieces]
         faults += found
         number, bound_ns = np.zeros(telemetry.size, np.int64), 0.0
-        for k, piece in enumerate(pieces):
-            if len(pieces) > 1 and (piece.rows.size < LEAST_ROWS or piece.probes.size < LEAST_PROBES):
+        fitted = {k: fit(mine[piece.probes], epoch_ns) for k, piece in enumerate(pieces) if len(pieces) == 1
+                  or (piece.rows.size >= LEAST_ROWS and piece.probes.size >= LEAST_PROBES)}
+        most_s = UNTIMED_S + UNTIMED_RATIO * min((clock.bound_s for clock in fitted.values()), default=0.0)
+        for k, clock in fitted.items():
+            piece = pieces[k]
+            if len(pieces) > 1 and clock.bound_s > most_s:
                 continue
-            clock = fit(mine[piece.probes], epoch_ns)
             time_ns[piece.rows] = clock.host_ns(telemetry["tick_us"][piece.rows], arrived[piece.rows])
             number[piece.rows], bound_ns = k, max(bound_ns, 1e9 * clock.bound_s)
             clocks.append(clock)
         if not asked:
             wrong = contradicting(arrived[rows], time_ns[rows], number[rows], bound_ns)
-            time_ns[rows[wrong]] = np.nan
-            faults += ["telemetry and probes contradict each other"] * bool(wrong.any() and not found)
+            groups = runs_of(paced_wrongly(telemetry[rows]))
+            if len(pieces) > 1:
+                groups += [np.searchsorted(rows, piece.rows) for piece in pieces]
+            paced = apart(arrived[rows], time_ns[rows], groups)
+            if paced.any() and not found:
+                faults.append(f"the rate of the telemetry changed at {arrived[rows][paced][0] * 1e-9:.2f} s")
+            elif wrong.any() and not found:
+                faults.append("telemetry and probes contradict each other")
+            time_ns[rows[wrong | paced]] = np.nan
     if not clocks:
         raise unusable(raw, "holds no clock probe, so its clocks cannot be put together")
     return _Times(time_ns, clocks, faults)

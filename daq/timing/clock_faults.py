@@ -26,6 +26,15 @@ LEAST_ROWS, LEAST_PROBES = 25, 2
 WINDOW_NS = 0.5e9
 EARLY_NS, LATE_NS = 2e6, 20e6
 """A window's samples contradict the probes if they come so much earlier or later after their ticks than others."""
+MOST_RATE = 0.03
+"""Largest share by which any clock's rate differs from the host's; beyond it the probes themselves have failed."""
+UNTIMED_S, UNTIMED_RATIO = 2e-3, 3.0
+"""A piece whose probes leave its times unknown by so much, and so many times the best piece's bound, more cannot be
+timed."""
+PACE_S, PACE_SHARE = 0.25, 1e-3
+"""The ticks a sequence number, over this time [s], may differ by this share from those of the run."""
+SPREAD_SHARE = 0.25
+"""Of the spread of arrivals: their least is known to so much of it."""
 RUN_OF_STEPS = 3
 """So many probes in a row that all step one way are a change of the rate."""
 COUNTERS_HZ = {f"a 32-bit counter at {mhz} MHz": mhz * 1e6 for mhz in (
@@ -63,6 +72,33 @@ def tick_steps(telemetry: NDArray[np.void]) -> tuple[NDArray[np.intp], FloatArra
     return rows + 1, off[rows]
 
 
+def paced_wrongly(telemetry: NDArray[np.void]) -> NDArray[np.bool_]:
+    """(n,) rows around which the tick advances by more or less a sequence number than in most of the run.
+
+    The controller counts both by one clock, so their ratio is constant even where that clock's rate changes.
+    """
+    wrong = np.zeros(telemetry.size, bool)
+    stepped, _ = tick_steps(telemetry)
+    ticks = signed_us(telemetry["tick_us"].astype(np.int64)).astype(float)
+    seq: NDArray[np.int64] = telemetry["seq"].astype(np.int64)
+    ahead = (seq[1:] - seq[:-1]) % 65536
+    next_ones = ticks[(ahead == 1) & (ticks > 0)]
+    period = float(np.median(next_ones)) if next_ones.size else 0.0
+    window = max(LEAST_ROWS, round(PACE_S * 1e6 / period)) if period else telemetry.size
+    if telemetry.size <= window:
+        return wrong
+    usual = (ahead > 0) & (ahead < 32768)
+    usual[stepped - 1] = False  # a step is a fault of its own
+    count = np.concatenate(([0], np.cumsum(np.where(usual, ahead, 0)))).astype(float)
+    late_us = np.concatenate(([0.0], np.cumsum(np.where(usual, ticks - ahead * period, 0.0))))
+    elapsed_us = np.maximum(count[window:] - count[:-window], 1.0) * period
+    pace = (late_us[window:] - late_us[:-window]) / elapsed_us
+    sound = float(np.median(pace))
+    for first in np.flatnonzero(np.abs(pace - sound) > PACE_SHARE + STEP_US / elapsed_us).tolist():
+        wrong[first + 1: first + window + 1] = True
+    return wrong
+
+
 def probe_steps(probes: NDArray[np.void], epoch_ns: int) -> tuple[NDArray[np.intp], FloatArray]:
     """Probes whose tick contradicts the probe before, at any drift that temperature makes, and by how much [us]."""
     if probes.size < 4:
@@ -73,7 +109,8 @@ def probe_steps(probes: NDArray[np.void], epoch_ns: int) -> tuple[NDArray[np.int
     known = elapsed > 0
     if not known.any():
         return np.empty(0, np.intp), np.empty(0)
-    error = moved - float(np.median(moved[known] / elapsed[known])) * elapsed
+    rate = float(np.median(moved[known] / elapsed[known]))
+    error = moved - (rate if abs(rate) < MOST_RATE else 0.0) * elapsed
     allowed = 0.5 * (trip[1:] + trip[:-1]) + DRIFT * np.abs(elapsed) + SLACK_NS
     rows = np.flatnonzero(np.abs(error) > allowed)
     return rows + 1, -error[rows] * 1e-3
@@ -124,7 +161,11 @@ def pieces_of(telemetry: NDArray[np.void], probes: NDArray[np.void], epoch_ns: i
         words.append(_words("telemetry and probes" if with_probes else "the telemetry", arrived[row], off))
     for probe, off, rate in zip(at.tolist(), far_us.tolist(), rated):
         if rate:
-            words.append(f"the rate of the probes changed at {middle[probe - 1] * 1e-9:.2f} s")
+            since = middle[probe - 1] * 1e-9
+            ticks = signed_us(probes["rx_tick_us"][probe: probe + 2].astype(np.int64))
+            still = bool((ticks * 1e3 < 0.5 * np.diff(middle[probe: probe + 2])).all())
+            words.append(f"the probes stand still from {since:.2f} s on" if still else
+                         f"the rate of the probes changed at {since:.2f} s")
         elif not any(abs(t - middle[probe]) < WINDOW_NS for t in breaks):
             words.append(_words("the probes", middle[probe], off))
     breaks += [0.5 * (middle[k] + middle[k - 1]) for k in at.tolist()
@@ -136,6 +177,28 @@ def pieces_of(telemetry: NDArray[np.void], probes: NDArray[np.void], epoch_ns: i
             words.append(f"its rate changed at {middle[k] * 1e-9:.2f} s")
     mine, theirs = np.searchsorted(edges, arrived, side="right"), np.searchsorted(edges, middle, side="right")
     return [Piece(np.flatnonzero(mine == k), np.flatnonzero(theirs == k)) for k in np.unique(mine)], words
+
+
+def apart(arrived: FloatArray, time_ns: FloatArray, groups: list[NDArray[np.intp]]) -> NDArray[np.bool_]:
+    """Rows of the groups whose times by the probes diverge from their arrivals: both cannot be right."""
+    wrong = np.zeros(arrived.shape, bool)
+    for group in groups:
+        rows = group[np.isfinite(time_ns[group])]
+        if rows.size < LEAST_ROWS:
+            continue
+        wait, third = (arrived - time_ns)[rows], rows.size // 3
+        least, most = np.quantile(wait[:third], (0.1, 0.9))
+        moved = float(np.quantile(wait[-third:], 0.1) - least)
+        took = float(np.median(arrived[rows][-third:]) - np.median(arrived[rows][:third]))
+        if abs(moved) > PACE_SHARE * took + SLACK_NS + SPREAD_SHARE * float(most - least):
+            wrong[rows] = True
+    return wrong
+
+
+def runs_of(rows: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """The uninterrupted runs of true rows."""
+    at = np.flatnonzero(rows)
+    return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
 
 
 def _first_of_runs(at: NDArray[np.intp], by_us: FloatArray) -> tuple[NDArray[np.intp], FloatArray, list[bool]]:

@@ -51,7 +51,8 @@ def read_can_log(path: Path) -> ImportedFile:
     import can
 
     tables: dict[tuple[str, int], list[tuple[float, tuple[float, ...]]]] = defaultdict(list)
-    with can.LogReader(path) as log:
+    readers = {".asc": can.ASCReader, ".blf": can.BLFReader, ".trc": can.TRCReader}  # can.LogReader runs plug-ins, too
+    with readers.get(path.suffix.lower(), can.CanutilsLogReader)(path) as log:
         for message in log:
             if message.is_error_frame or message.is_remote_frame:
                 continue

@@ -50,7 +50,9 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
     how = ["Command:"] if origin.command else []
     seed = [] if origin.seed is None else [f"Random numbers are drawn from seed {origin.seed}."]
     model = _model_of(origin)
-    use = [f"This model in MuJoCo: legid export {shlex.quote(model)} --to mujoco --out leg"] if model else []
+    quoted, rig = shlex.quote(model), f" --rig {shlex.quote(origin.rig.file)}" if origin.rig is not None else ""
+    use = [f"This model in MuJoCo: legid export {quoted} --to mujoco --out leg; its errors there: "
+           f"legid validate {quoted} RUN...{rig} --simulator mujoco"] if model else []
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
                     "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,

@@ -7,6 +7,7 @@ free-run error says what the difference costs.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import NamedTuple
 from msgspec import structs
 
 from experiments.models import EffectValue, Model, build_mechanism
+from experiments.simulators.bam import bam_parameters
 from experiments.simulators.mjcf import mjcf_of
 from experiments.simulators.parts import Parts, parts_of
 from experiments.simulators.urdf import urdf_notes, urdf_of
@@ -39,6 +41,16 @@ class Simulator:
 
 SIMULATORS = (Simulator("Isaac Lab", "isaaclab_leg.py", True, False), Simulator("mjlab", "mjlab_leg.py", True, True),
               Simulator("Newton", "newton_leg.py", True, False), Simulator("Genesis", "genesis_leg.py", False, False))
+
+
+BAM = """bam.json has the friction and the armature of the {servo} that moves the driven joint, for BAM:
+
+    model = bam.model.load_model(motor_name="{servo}", model="{variant}")
+    model.load_parameters("bam.json")
+
+Its kt and R stay as BAM bundles them, since a model of torques does not know them. Friction that grows with the load is
+nearest: BAM multiplies the difference of motor and external torque, legid the transmitted torque.
+"""
 
 
 class Fate(NamedTuple):
@@ -110,10 +122,14 @@ def _add(beta: dict[tuple[str, tuple[int, ...]], float], at: tuple[int, ...], co
             beta[term, at] += value
 
 
-def learning_files(model: Model, where: str, errors: Mapping[str, Mapping[str, float]] | None = None) -> dict[str, str]:
+def learning_files(model: Model, where: str, errors: Mapping[str, Mapping[str, float]] | None = None, servo: str = ""
+                   ) -> dict[str, str]:
     """Name of each file to its text: the leg as MJCF and URDF, one module a simulator, and the table of what is held.
 
-    `errors`: simulator, or "model", to the rms free-run error of each channel. Raises `InputError`.
+    - `errors`: simulator, or "model", to the rms free-run error of each channel.
+    - `servo`: name of the driven joint's actuator in BAM, whose parameters are written, too.
+
+    Raises `InputError`.
     """
     texts = {}
     every = [reduced(model, simulator) for simulator in SIMULATORS]
@@ -125,6 +141,10 @@ def learning_files(model: Model, where: str, errors: Mapping[str, Mapping[str, f
     plain = parts_of(structs.replace(every[0].model, effects=()), where)
     texts["leg.urdf"] = urdf_of(plain, urdf_notes(plain))
     texts["README.md"] = _table(model, every, errors or {})
+    if servo:
+        found = bam_parameters(parts_of(model, where), servo)
+        texts["bam.json"] = json.dumps(found, indent=2) + "\n"
+        texts["README.md"] += "\n" + BAM.format(servo=servo, variant=found["model"])
     return texts
 
 

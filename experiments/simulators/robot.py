@@ -11,13 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from daq import FloatArray, InputError, read_bytes
+from experiments.bounded_child import Bounds, answer_of_child, ended_early
 from experiments.simulators.mujoco_runs import require_mujoco
 
-MOST_BYTES, MOST_BODIES = 10_000_000, 1000
+MOST_BYTES, MOST_BODIES, MOST_INCLUDES = 10_000_000, 1000, 8
+MOST_MEMORY, MOST_S = 700 << 20, 6.0
+"""The child that compiles it may take so many bytes, and so much time of a processor [s]."""
 PLANAR = "give a serial chain of hinges with parallel axes, whose links have masses"
+LARGEST = 1e9
+"""Of any length, mass and inertia, in SI units."""
 NO_MASS = 1e-9
 """Mass below which a link has none [kg]."""
 
@@ -51,7 +57,37 @@ class Link:
 
 
 def read_robot(path: Path) -> list[Link]:
-    """Links from the base outwards. Raises `InputError` naming the file and the body, or where MuJoCo is absent."""
+    """Links from the base outwards, by a child process: shapes, textures and copies of a few bytes' description can
+    fill the memory. Raises `InputError` naming the file and the body, or where MuJoCo is absent."""
+    require_mujoco()
+    data = answer_of_child(lambda: [msgspec.json.encode(_read(path), enc_hook=np.ndarray.tolist)],
+                           Bounds(str(path), "a URDF or MJCF file", MOST_MEMORY, MOST_S))
+    try:
+        return msgspec.json.decode(bytes(data), type=list[Link], dec_hook=lambda _, numbers: np.array(numbers))
+    except msgspec.MsgspecError:
+        raise ended_early(str(path)) from None
+
+
+def _read(path: Path) -> list[Link]:
+    root = _parsed(path)
+    if root.tag not in ("robot", "mujoco"):
+        raise InputError(str(path), f"begins with <{root.tag}>", "give a URDF or MJCF file; run xacro first")
+    _check_files(root, path, path.resolve().parent)
+    bodies = sum(1 for element in root.iter() if element.tag in ("link", "body"))
+    if bodies > MOST_BODIES:
+        raise InputError(str(path), f"has {bodies} bodies, {MOST_BODIES} are read", PLANAR)
+    model = _compiled(root, path)
+    names = [joint.get("name") for joint in root.findall("transmission/joint")] if root.tag == "robot" else []
+    links = _links(model, names, str(path))
+    for link in links:
+        numbers = (*link.at, *link.axis, *link.centre, link.mass, *link.inertia.ravel(), link.viscous, link.coulomb,
+                   link.armature, link.stiffness, link.rest_rad)
+        if not (np.abs(numbers) < LARGEST).all():
+            raise InputError(str(path), f"gives body {link.name} a number that no leg has", "correct the file")
+    return links
+
+
+def _parsed(path: Path) -> ET.Element:
     try:
         data = read_bytes(path, MOST_BYTES)
     except OSError as error:
@@ -59,22 +95,33 @@ def read_robot(path: Path) -> list[Link]:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise InputError(str(path), "declares entities", "give a plain URDF or MJCF file")
     try:
-        root = ET.fromstring(data)
+        return ET.fromstring(data)
     except ET.ParseError as error:
         raise InputError(str(path), f"is not XML: {error}", "give a URDF or MJCF file; run xacro first") from None
-    if root.tag not in ("robot", "mujoco"):
-        raise InputError(str(path), f"begins with <{root.tag}>", "give a URDF or MJCF file; run xacro first")
-    bodies = sum(1 for element in root.iter() if element.tag in ("link", "body"))
-    if bodies > MOST_BODIES:
-        raise InputError(str(path), f"has {bodies} bodies, {MOST_BODIES} are read", PLANAR)
-    model = _compiled(root, path)
-    names = [joint.get("name") for joint in root.findall("transmission/joint")] if root.tag == "robot" else []
-    return _links(model, names, str(path))
+
+
+def _check_files(root: ET.Element, path: Path, folder: Path, depth: int = 0) -> None:
+    """Raise `InputError` where an MJCF file or one that it includes names a file outside its folder, or no file."""
+    if root.tag != "mujoco" and not depth:
+        return  # the shapes of a URDF are left out
+    if depth > MOST_INCLUDES:
+        raise InputError(str(path), f"includes files {depth} levels deep", "give one file")
+    named = [(e, value) for e in root.iter() for key, value in e.attrib.items() if key.startswith("file")]
+    for element, name in named:
+        homes = [folder, *(folder / value for e in root.iter("compiler") for key, value in e.attrib.items()
+                           if key.endswith("dir"))]
+        places = [place for home in homes if (place := home / name).exists()]
+        for place in places:
+            if not place.resolve().is_relative_to(folder):
+                raise InputError(str(path), f"names {name!r}, which is outside its folder", "copy it into the folder")
+            if not place.is_file():
+                raise InputError(str(path), f"names {name!r}, which is no regular file", "give a file on a disk")
+        if element.tag == "include" and places:
+            _check_files(_parsed(places[0]), path, folder, depth + 1)
 
 
 def _compiled(root: ET.Element, path: Path) -> Any:
     """MuJoCo's model of the file, of a URDF without its shapes: their meshes may lie elsewhere."""
-    require_mujoco()
     import mujoco
 
     for link in root.findall("link"):

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from daq import Limits
 from experiments.models import Model
 from experiments.simulators.mjcf import mjcf_notes, mjcf_of
 from experiments.simulators.parts import parts_of
-from experiments.simulators.urdf import urdf_notes, urdf_of
+from experiments.simulators.urdf import limits_of, urdf_notes, urdf_of
 
 KINDS = ("mjcf", "urdf")
 
 
-def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
-    """(XML text, what of the model it does not hold or holds otherwise). Raises `InputError`."""
+def export_model(model: Model, kind: str, where: str, limits: Limits | None = None) -> tuple[str, list[str]]:
+    """(XML text, what of the model it does not hold or holds otherwise). `limits` are those of a rig, for URDF. Raises
+    `InputError`."""
     parts = parts_of(model, where)
     if kind == "urdf":
-        notes = urdf_notes(parts)
-        return urdf_of(parts, notes), notes
+        notes = urdf_notes(parts, limits is not None)
+        return urdf_of(parts, notes, limits_of(limits, parts) if limits else ()), notes
     notes = mjcf_notes(parts)
     lost = [effect.name for effect in parts.left] + (["structure"] if model.structure else [])
     if lost:

@@ -8,6 +8,9 @@ from .change import find_differences as find_differences
 from .change import runs_in as runs_in
 from .change import session_names as session_names
 from .compare import compare_models as compare_models
+from .compensate import cogging_settings as cogging_settings
+from .compensate import feedforward as feedforward
+from .compensate import shares_of as shares_of
 from .demo import run_demo as run_demo
 from .demo_text import demo_text as demo_text
 from .diagnose import diagnose_prepared as diagnose_prepared

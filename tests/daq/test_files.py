@@ -25,9 +25,9 @@ RUNS = {
     "ROS bag": b"#ROSBAG V2.0\n", "ROS 2 bag": b"SQLite format 3\0...",
 }
 WRITERS = {"daq/files.py", "daq/runs/mcap_run.py", "experiments/doctor/preflight.py", "experiments/live/jobs.py",
-           "experiments/exchange/bounded.py", "experiments/simulators/mujoco_runs.py"}
+           "experiments/bounded_child.py", "experiments/simulators/mujoco_runs.py"}
 """Who opens files for writing: the one function, the recorder, the doctor's scratch file, a pseudo-terminal, the pipe
-of a reader, and an export in a folder that goes again."""
+of a child, and an export in a folder that goes again."""
 
 
 @pytest.mark.parametrize("content", RUNS.values(), ids=RUNS)

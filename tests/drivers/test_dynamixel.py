@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from drivers import dynamixel as dxl

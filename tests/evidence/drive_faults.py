@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import WorkError
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from drivers import Lsm9ds1
 from drivers.errors import DriverError

@@ -33,8 +33,9 @@ NUMBERS = (0, -1, 1, 2**31, 2**63 - 1, 10**30, 0.0, -0.0, 1e308, 1e-320, float("
 
 
 def array(rng: np.random.Generator) -> np.ndarray:
-    """Of any type and shape, empty ones too."""
-    shape = tuple(int(2 ** rng.uniform(0, 7)) if rng.random() < 0.9 else 0 for _ in range(int(rng.integers(0, 4))))
+    """Of any type and shape, empty ones too; one of 500 is large."""
+    most = 7 if rng.random() < 0.002 else 3
+    shape = tuple(int(2 ** rng.uniform(0, most)) if rng.random() < 0.9 else 0 for _ in range(int(rng.integers(0, 4))))
     kind = str(rng.choice(TYPES))
     values = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
     with np.errstate(all="ignore"):
@@ -44,7 +45,7 @@ def array(rng: np.random.Generator) -> np.ndarray:
 def tree(rng: np.random.Generator, depth: int = 0) -> Any:
     """Mappings, lists, arrays, texts and numbers within each other."""
     kind = int(rng.integers(7)) if depth < 6 else 6
-    count = int(2 ** rng.uniform(0, 4))
+    count = int(2 ** rng.uniform(0, 3 if depth else 4))
     if kind < 2:
         return {str(rng.choice(NAMES)): tree(rng, depth + 1) for _ in range(count)}
     if kind == 2:
@@ -105,7 +106,9 @@ def make_hdf5(rng: np.random.Generator, path: Path) -> None:
                 case 4:
                     group[name] = h5py.ExternalLink(str(rng.choice(["other.h5", "/etc/passwd", path.name])), "/n0")
                 case 5:
-                    group.create_dataset(name, (int(2 ** rng.uniform(0, 40)),), "f8", chunks=(1024,), maxshape=(None,))
+                    most = 40 if rng.random() < 0.1 else 16
+                    group.create_dataset(name, (int(2 ** rng.uniform(0, most)),), "f8", chunks=(1024,),
+                                         maxshape=(None,))
                 case _:
                     values = array(rng)
                     group.create_dataset(name, data=values if values.dtype.kind in "fiub" else np.arange(5.0))
@@ -150,6 +153,8 @@ def make_can(rng: np.random.Generator, path: Path) -> None:
 def make_db3(rng: np.random.Generator, path: Path) -> None:
     path.unlink(missing_ok=True)
     base = sqlite3.connect(path)
+    base.execute("pragma synchronous = off")
+    base.execute("pragma journal_mode = off")
     base.execute("create table topics(id integer primary key, name text, type text, serialization_format text, "
                  "offered_qos_profiles text, type_description_hash text)")
     base.execute("create table messages(id integer primary key, topic_id integer, timestamp integer, data blob)")
@@ -167,27 +172,63 @@ def make_db3(rng: np.random.Generator, path: Path) -> None:
 
 def make_urdf(rng: np.random.Generator, path: Path) -> None:
     """Joints between any links: chains, trees, circles."""
-    n = int(rng.integers(1, 6))
-    odd = ["1", "0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""]
-    names = [str(rng.choice(NAMES)) if rng.random() < 0.2 else f"l{k}" for k in range(n + 1)]
+    n, odd = int(rng.integers(1, 6)), 0.3 if rng.random() < 0.5 else 0.0
+    names = [str(rng.choice(NAMES)) if rng.random() < odd else f"l{k}" for k in range(n + 1)]
     quoted = [name.replace("\n", "&#10;").replace("<", "") for name in names]
-    links = "".join(f'<link name="{q}"><inertial><mass value="{rng.choice(odd)}"/><inertia ixx="1" izz="1" '
-                    f'iyy="{rng.choice(odd)}"/></inertial></link>' for q in quoted)
-    ends = [(quoted[k], quoted[k + 1]) if rng.random() < 0.8 else (str(rng.choice(quoted)), str(rng.choice(quoted)))
+    links = "".join(f'<link name="{q}"><inertial><mass value="{number(rng, odd)}"/><inertia ixx="1" izz="1" ixy="0" '
+                    f'ixz="0" iyz="0" iyy="{number(rng, odd)}"/></inertial></link>' for q in quoted)
+    ends = [(quoted[k], quoted[k + 1]) if rng.random() >= odd else (str(rng.choice(quoted)), str(rng.choice(quoted)))
             for k in range(n)]
-    joints = "".join(f'<joint name="j{k}" type="revolute"><parent link="{a}"/><child link="{b}"/><axis xyz="0 1 0"/>'
-                     f'<origin xyz="0 0 -0.3"/></joint>' for k, (a, b) in enumerate(ends))
+    joints = "".join(f'<joint name="j{k}" type="continuous"><parent link="{a}"/><child link="{b}"/><axis xyz="0 1 0"/>'
+                     f'<origin xyz="0 0 -0.3" rpy="{number(rng, odd)} 0 0"/></joint>' for k, (a, b) in enumerate(ends))
     path.write_text(f'<robot name="r">{links}{joints}</robot>')
 
 
-def read_urdf(path: Path) -> None:
+def number(rng: np.random.Generator, odd: float) -> str:
+    """1, or with probability `odd` something else."""
+    return str(rng.choice(["0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""])) if rng.random() < odd else "1"
+
+
+def make_mjcf(rng: np.random.Generator, path: Path) -> None:
+    """Bodies in bodies with any joints and shapes, copies, textures, height fields and files."""
+    odd = 0.2 if rng.random() < 0.5 else 0.0
+    big = str(int(2 ** rng.uniform(0, 30 if rng.random() < 0.002 else 6)))
+    extra = {"asset": (f'<texture type="2d" builtin="flat" width="{big}" height="8"/>',
+                       f'<hfield name="h" nrow="{big}" ncol="2" size="1 1 1 1"/>', '<mesh name="m" file="m.stl"/>'),
+             "include": ("../../etc/passwd", path.name, "other.xml")}
+    head = f'<compiler angle="{"degree" if rng.random() < 0.5 else "radian"}"/>'
+    if rng.random() < odd:
+        head += f'<asset>{rng.choice(extra["asset"])}</asset>'
+    if rng.random() < odd:
+        head += f'<include file="{rng.choice(extra["include"])}"/>'
+    inner = ""
+    for k in range(int(rng.integers(1, 5))):
+        kind = str(rng.choice(["slide", "ball", "free", "x"])) if rng.random() < odd else "hinge"
+        shape = f'<inertial pos="0 0 -{number(rng, odd)}" mass="1" diaginertia="1 1 1"/>'
+        if rng.random() < odd:
+            form = rng.choice(["sphere", "capsule", "box", "mesh", "plane"])
+            shape = f'<geom type="{form}" size="{number(rng, odd)} 1 1"/>'
+        many = f'<replicate count="{big}"><geom size="0.1"/></replicate>' if rng.random() < odd else ""
+        spin = f' euler="{number(rng, odd)} 0 0"' if rng.random() < odd else ""
+        inner = (f'<body name="{quoted_name(rng, odd, k)}"{spin}><joint type="{kind}" axis="0 1 0" '
+                 f'damping="{number(rng, odd)}"/>{shape}{many}{inner}</body>')
+    path.write_text(f"<mujoco>{head}<worldbody>{inner}</worldbody></mujoco>")
+
+
+def quoted_name(rng: np.random.Generator, odd: float, k: int) -> str:
+    """Of a body, for an attribute."""
+    return str(rng.choice(NAMES)).replace("\n", "&#10;") + str(k) if rng.random() < odd else f"b{k}"
+
+
+def read_bodies(path: Path) -> None:
     parse_rig('[mechanism]\nmodel = "chain"\nlinks = 5\nactuated = [1]\n' + prior_table(read_robot(path), path.name))
 
 
 MAKERS: dict[str, tuple[str, Make]] = {
     "json": (".json", make_json), "pickle": (".pkl", make_pickle), "npz": (".npz", make_npz), "mat": (".mat", make_mat),
     "hdf5": (".h5", make_hdf5), "parquet": (".parquet", make_parquet), "text": (".txt", make_text),
-    "can": (".log", make_can), "db3": (".db3", make_db3), "urdf": (".urdf", make_urdf)}
+    "can": (".log", make_can), "db3": (".db3", make_db3), "urdf": (".urdf", make_urdf),
+    "mjcf": (".xml", make_mjcf)}
 
 
 def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], object], Make | None]]:
@@ -198,7 +239,7 @@ def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], 
         for seed in range(4):
             make(np.random.default_rng(seed), folder / f"w{ending}")
             whole.append((folder / f"w{ending}").read_bytes())
-        out[name] = (ending, whole, read_urdf if name == "urdf" else read_imported, make)
+        out[name] = (ending, whole, read_bodies if name in ("urdf", "mjcf") else read_imported, make)
     t = np.arange(60.0)
     torch_archive({"t": t, "q2": np.sin(t)}, folder / "w.pt")
     run = Dataset("run", 10.0, t, {name: np.sin(t + k) for k, name in enumerate(

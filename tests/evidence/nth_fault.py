@@ -2,17 +2,21 @@
 
     python -m tests.evidence nth-fault --out docs/evidence/nth-fault.md     # what `make nth-fault` does
     python -m tests.evidence nth-fault --every 200 --drives legid           # every 200th read and allocation
+
+A study that was stopped goes on with the next kind of operation of a drive.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.nth_fault import DRIVES, FAULTS, SECONDS, Ended, strike
 
@@ -55,6 +59,14 @@ def page(found: Sequence[Ended], counts: dict[str, Counter[str]], every: int) ->
     return "\n".join(lines) + "\n"
 
 
+@kept
+def struck(drive: str, kind: str, every: int) -> tuple[Sequence[Ended], int]:
+    """How the operations of one kind ended that failed, and how many there are."""
+    with tempfile.TemporaryDirectory() as folder:
+        found, counts = strike(drive, lambda of, n: of == kind and n % every == 0, Path(folder))
+    return found, counts[kind]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print or write; 1 where a fault was not named, a file not readable, or a torque lasted."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -65,9 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found: list[Ended] = []
     counts: dict[str, Counter[str]] = {}
     for drive in args.drives:
-        with tempfile.TemporaryDirectory() as folder:
-            ended, counts[drive] = strike(drive, lambda kind, n: kind in DISK or n % args.every == 0, Path(folder))
+        counts[drive] = Counter()
+        for kind in FAULTS:
+            ended, counts[drive][kind] = struck(drive, kind, 1 if kind in DISK else args.every)
             found += ended
+            print(f"{drive}, {kind}: {len(ended)}", file=sys.stderr, flush=True)
     text = page(found, counts, args.every)
     args.out.write_text(text, encoding="utf-8") if args.out else print(text)
     bad = [one for one in found if not (one.named and one.readable and one.zero_ms <= TARGET_MS)]

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from daq.recording.plan import Plan
-from daq.recording.recorder import RecordReport, record_run
+from daq.recording.record import record_run
+from daq.recording.recorder import RecordReport
 from daq.rig import parse_rig
 from daq.runs.mcap_run import RawRun
 from drivers import lsm9ds1_registers as reg

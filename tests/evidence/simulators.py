@@ -157,6 +157,7 @@ def page(legs: int) -> Iterator[str]:
         yield f"| {' and '.join(names) or 'none'} | {module:.0f} | {alone:.0f} |"
     yield from ["", f"`mujoco.rollout`: {batch()}. Target: 1e5 on two processors.",
                 f"Load of the machine meanwhile: {os.getloadavg()[0]:.0f} processes on {os.cpu_count()} processors.",
+                "", "MJX is compared with MuJoCo by tests/experiments/simulators/test_mjx.py, where it is installed.",
                 ""]
 
 

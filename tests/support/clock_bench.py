@@ -36,7 +36,7 @@ class ClockBench(FaultBench):
         super().__init__(lambda bench: None, "never")
         times = np.arange(0.0, SECONDS, 0.01)
         self.plan = Plan(times, 0.25 * np.sin(2 * np.pi * 1.3 * times) + 0.1 * np.sin(2 * np.pi * 0.4 * times))
-        self.clock_struck_ns = 0
+        self.clock_struck_ns = self.touched = 0
         self._offset, self._at_s = KINDS[kind], MOMENTS_S[moment]
         kinds = {"both": (Telemetry, Pong), "telemetry": (Telemetry,), "probes": (Pong,), "none": ()}
         self._altered_kinds = kinds[which]
@@ -56,12 +56,13 @@ class ClockBench(FaultBench):
 
     def _late(self, message: Telemetry | Pong) -> Telemetry | Pong:
         off_us = round(1e6 * self._offset((self.clock.now_ns() - self.clock_struck_ns) * 1e-9))
+        self.touched += off_us != 0
         fields = ("tick_us",) if isinstance(message, Telemetry) else ("rx_tick_us", "tx_tick_us")
         return replace(message, **{name: (getattr(message, name) + off_us) % 2**32 for name in fields})
 
 
-def strike(kind: str, which: str, moment: str, folder: Path) -> tuple[Path, str]:
-    """The run of one recording, and how it ended."""
+def strike(kind: str, which: str, moment: str, folder: Path) -> tuple[Path, str, int]:
+    """The run of one recording, how it ended, and how many of its ticks were off."""
     bench = ClockBench(kind, which, moment)
     said = bench.run(folder).said
-    return bench.path, said
+    return bench.path, said, bench.touched

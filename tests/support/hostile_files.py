@@ -368,6 +368,41 @@ def mjcf_name(folder: Path) -> str:
     return "a.xml"
 
 
+BODY = '<worldbody><body name="a"><joint axis="0 1 0"/><geom size="1"/></body></worldbody>'
+
+
+def mjcf(folder: Path, name: str, text: str) -> str:
+    (folder / name).write_text(f"<mujoco>{text}</mujoco>")
+    return name
+
+
+@attack(*INIT)
+def mjcf_texture(folder: Path) -> str:
+    """An MJCF whose texture has 10^10 points."""
+    texture = '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>'
+    return mjcf(folder, "t.xml", f"<asset>{texture}</asset>{BODY}")
+
+
+@attack(*INIT)
+def mjcf_copies(folder: Path) -> str:
+    """An MJCF that asks for 10^9 copies of a shape."""
+    copies = '<replicate count="1000000000"><geom size="1"/></replicate>'
+    return mjcf(folder, "r.xml", BODY.replace("</body>", f"</body>{copies}"))
+
+
+@attack(*INIT)
+def mjcf_include(folder: Path) -> str:
+    """An MJCF that includes a file outside its folder."""
+    return mjcf(folder, "i.xml", f'<include file="../../etc/passwd"/>{BODY}')
+
+
+@attack(*INIT)
+def mjcf_pipe(folder: Path) -> str:
+    """An MJCF whose mesh is a pipe."""
+    os.mkfifo(folder / "mesh.stl")
+    return mjcf(folder, "p.xml", f'<asset><mesh name="m" file="mesh.stl"/></asset>{BODY}')
+
+
 @attack(*RUNS)
 def run_started(folder: Path) -> str:
     """A run that began in the year 10^20."""

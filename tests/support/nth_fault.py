@@ -11,16 +11,18 @@ import json
 import math
 import os
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from daq.errors import InputError, WorkError
-from daq.recording import recorder
+from daq.recording import record
 from daq.recording.plan import Plan
 from daq.rig import parse_rig
 from daq.runs import mcap_run
@@ -32,7 +34,7 @@ from tests.evidence.drive_faults import RIG as DRIVE_RIG
 from tests.evidence.drive_faults import DriveFaultBench
 from tests.support.fault_bench import RIG, FaultBench
 
-RECORDER: Any = recorder
+RECORD: Any = record
 RUNS: Any = mcap_run
 SYSTEM: Any = os
 """Modules of which a function is replaced."""
@@ -163,16 +165,17 @@ class NthBench:
             sync(descriptor)
 
         RUNS._create, SYSTEM.fdatasync = lambda path: CountedFile(create(path), self), synced
-        RECORDER.RunWriter = Counted
+        RUNS.time = SimpleNamespace(monotonic=lambda: 1e-9 * self.clock.now_ns(), time_ns=time.time_ns)  # of its syncs
+        RECORD.RunWriter = Counted
         try:
-            recorder.record_run(self.path, parse_rig(self._text), self._text, plan, self._imu, self._controller,
+            record.record_run(self.path, parse_rig(self._text), self._text, plan, self._imu, self._controller,
                                 self.clock.now_ns, threaded=False)
         except (WorkError, DriverError) as error:
             said = str(error)
         except BaseException as error:
             said = f"internal error: {error!r}"
         finally:
-            RUNS._create, SYSTEM.fdatasync, RECORDER.RunWriter = create, sync, RunWriter
+            RUNS._create, SYSTEM.fdatasync, RECORD.RunWriter, RUNS.time = create, sync, RunWriter, time
         if self._child is not None:
             self._answer_and_end(said)
         if said:

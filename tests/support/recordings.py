@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from daq.recording.plan import Plan
-from daq.recording.recorder import RecordReport, record_run
+from daq.recording.record import record_run
+from daq.recording.recorder import RecordReport
 from daq.rig import parse_rig
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1

@@ -7,7 +7,8 @@ import pytest
 
 from daq.errors import WorkError
 from daq.recording.plan import Plan
-from daq.recording.recorder import RecordReport, record_run
+from daq.recording.record import record_run
+from daq.recording.recorder import RecordReport
 from daq.recording.sensors import Sensors
 from daq.rig import parse_rig
 from daq.runs.mcap_run import RawRun, read_run

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.recording.remote import ALIVE, PACKET_BYTES, Ended, Heard, Remote, Status, watched_by
 from daq.rig import parse_rig
 from drivers.leg_controller import LegController

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq.errors import WorkError
 from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.rig_devices import ImuDevice
 from drivers.leg_controller import LegController

@@ -33,11 +33,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--starts", metavar="RUN", nargs="+", default=[],
                         help="with --to mujoco: runs whose first states leg.xml keeps, by name; with --to learning: "
                              "runs whose free-run error says what a simulator's joint lacks")
+    parser.add_argument("--servo", metavar="NAME", default="",
+                        help="with --to learning: the driven joint's actuator, as BAM names it (mx106), whose "
+                             "friction bam.json has")
     parser.add_argument("--samples", metavar="N", type=whole_number(1, 10_000), default=0,
                         help="with --to mujoco: N models more, drawn by the joint covariance of parameters and sizes")
     parser.add_argument("--seed", type=whole_number(0, 2**32), default=1, help="of --samples (default 1)")
     add_force(parser)
-    parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
+    parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run; with --to urdf: "
+                                     "whose limits the joints get")
     parser.add_argument("--damaged", action="store_true", help="export a run of whose file something is missing, too")
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the rig's")
     parser.set_defaults(run=run)
@@ -52,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.to is None:
         raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
     for flag, given, kinds in (("--starts", args.starts, ("mujoco", "learning")),
-                               ("--samples", args.samples, ("mujoco",))):
+                               ("--servo", args.servo, ("learning",)), ("--samples", args.samples, ("mujoco",))):
         if given and args.to not in kinds:
             raise InputError(flag, f"is for --to {' or '.join(kinds)}", "leave it out")
     if args.to in ("mujoco", "learning"):
@@ -93,14 +97,15 @@ def _export_model(args: argparse.Namespace) -> int:
     """Write the model; what the format cannot hold goes to stderr."""
     import sys
 
-    from daq import InputError
+    from daq import InputError, load_rig
     from experiments.console import write_text
     from experiments.models import load_model
     from experiments.simulators import export_model
 
-    if args.rig is not None or args.rate is not None:
-        raise InputError(f"--to {args.to}", "takes neither --rig nor --rate", "leave them out: they belong to runs")
-    text, notes = export_model(load_model(args.run_file), args.to, args.run_file)
+    if args.rate is not None or (args.rig is not None and args.to != "urdf"):
+        raise InputError(f"--to {args.to}", "takes no --rate, and --rig for URDF alone", "leave them out")
+    limits = None if args.rig is None else load_rig(args.rig).limits
+    text, notes = export_model(load_model(args.run_file), args.to, args.run_file, limits)
     write_text(args.out, text)
     print(f"{args.out}: {args.to.upper()} model of {args.run_file}")
     for note in notes:
@@ -147,7 +152,7 @@ def _export_learning(args: argparse.Namespace) -> int:
 
     model, prepared = load_model(args.run_file), _prepared(args)
     errors = None if prepared is None else reduction_errors(model, prepared)
-    texts = learning_files(model, args.run_file, errors)
+    texts = learning_files(model, args.run_file, errors, args.servo)
     make_directory(Path(args.out))
     for name, text in texts.items():
         write_text(Path(args.out) / name, text)

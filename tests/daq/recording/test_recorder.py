@@ -15,7 +15,8 @@ import pytest
 
 from daq.errors import InputError, WorkError
 from daq.recording.plan import Plan
-from daq.recording.recorder import RAMP_S, RecordReport, record_run
+from daq.recording.record import record_run
+from daq.recording.recorder import RAMP_S, RecordReport
 from daq.rig import parse_rig
 from daq.runs.mcap_run import RawRun, read_run
 from drivers.errors import LinkLost

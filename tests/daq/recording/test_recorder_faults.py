@@ -12,7 +12,7 @@ import pytest
 
 from daq.errors import WorkError
 from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.runs import mcap_run
 from daq.runs.mcap_run import read_run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from drivers import TO_AG

@@ -10,7 +10,7 @@ import pytest
 from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.runs.csv_run import RawTable
 from daq.runs.mcap_run import RunWriter, read_run

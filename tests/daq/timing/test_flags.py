@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from daq.errors import InputError, WorkError
-from daq.recording.recorder import record_run
+from daq.recording.record import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from daq.runs.streams import IMU_STREAM

@@ -22,6 +22,7 @@ OUTPUTS = [
     [*DIAGNOSE, "--json"], [*DIAGNOSE, "--html"], [*DIAGNOSE, "--model-out"],
     [*WATCH, "--json"], [*WATCH, "--html"],
     ["simulate", "none.json", "--plan", "none.csv", "--out"], ["excite", "--rig", "none.toml", "--out"],
+    ["compensate", "none.json", "--plan", "none.csv", "--out"],
     ["export", "none.csv", "--to", "csv", "--out"], ["export", "none.csv", "--to", "mat", "--out"],
     ["export", "none.csv", "--to", "parquet", "--out"], ["export", "none.json", "--to", "mjcf", "--out"],
     ["export", "none.json", "--to", "urdf", "--out"], ["effects", "--json"], ["runs", ".", "--json"],

@@ -1,6 +1,7 @@
 """Stop and Release in a real browser while folder, disk, network, files and parts of the page fail."""
 
 import os
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -203,3 +204,44 @@ def test_a_page_opened_while_something_fails_stops_and_releases(rig: FailingRig,
         page.mouse("release")
         page.wait(lambda: page.js("document.getElementById('release').hidden"), "released")
     page.wait(lambda: page.text("phase") == "Idle", "the page is idle")
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Path]:
+    """A file system of 2 MB at the folder."""
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)], capture_output=True,
+                             check=False)
+    if mounted.returncode:
+        pytest.skip("this machine lets nobody mount a disk of his own")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@needs_browser
+def test_a_disk_that_fills_up_while_the_motor_drives_takes_the_torque_off(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "out") as disk:
+        rig = FailingRig(tmp_path)
+        try:
+            with open_page(rig.live) as page:
+                page.click("start")
+                page.wait(rig.drives, "the motor is driven")
+                assert page.js(ENABLED)
+                filler = os.open(disk / "filler", os.O_WRONLY | os.O_CREAT)
+                for size in (4096, 1):
+                    with suppress(OSError):
+                        while os.write(filler, bytes(size)):
+                            pass
+                deadline = time.monotonic() + 20.0
+                while rig.drives():
+                    assert page.js(ENABLED) and time.monotonic() < deadline, "still driven on a full disk"
+                page.wait(lambda: "No space left" in page.text("words"), "the cause is named")
+                os.close(filler)
+                (disk / "filler").unlink()
+                page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled again")
+                page.click("start")
+                stop_works(rig, page)
+        finally:
+            rig.close()

@@ -9,7 +9,8 @@ from experiments.reports import origin_section
 def test_a_page_with_a_model_names_the_export(tmp_path: Path) -> None:
     model = tmp_path / "my model.json"
     model.write_text("{}")
-    wanted = "This model in MuJoCo: legid export 'my model.json' --to mujoco --out leg"
+    wanted = "This model in MuJoCo: legid export 'my model.json' --to mujoco --out leg; its errors there: " \
+             "legid validate 'my model.json' RUN... --simulator mujoco"
     for origin in (origin_of(model=model), origin_of(command="legid fit run.csv --model-out 'my model.json'")):
         assert wanted in origin_section(origin).notes
     for command in ("", "legid fit run.csv"):

@@ -1,6 +1,7 @@
 """`legid export --to learning`: modules for simulators of policy learning, and what their joints lack."""
 
 import ast
+import json
 from pathlib import Path
 
 import mujoco
@@ -62,3 +63,21 @@ def test_the_difference_is_measured_on_runs(tmp_path: Path, capsys: pytest.Captu
               if len(cells := line.split("|")) > 3 and cells[1].strip() in ("model", "mjlab", "Newton", "Genesis")}
     assert max(errors["model"], errors["mjlab"]) < 0.5 * min(errors["Newton"], errors["Genesis"]), said
     assert (tmp_path / "rl" / "README.md").is_file()
+
+
+def test_bam_gets_what_the_model_knows_of_a_servo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = model_of(tmp_path, 1, ("stribeck_friction", "rotor_inertia"))
+    found = json.loads(learning_files(model, "m.json", servo="mx106")["bam.json"])
+    stribeck = model.effects[0]
+    assert (found["model"], found["actuator"]) == ("m2", "mx106") and "kt" not in found and "R" not in found
+    assert found["friction_base"] == model.beta[8] and found["friction_viscous"] == model.beta[6]
+    assert found["armature"] == pytest.approx(0.004)
+    assert found["dtheta_stribeck"] == stribeck.shapes["stribeck_velocity"]
+    assert found["friction_stribeck"] == stribeck.sizes["excess_torque"]
+    by_load = json.loads(learning_files(model_of(tmp_path, 1, ("load_dependent_friction",)), "m.json", servo="xl330")[
+        "bam.json"])
+    assert by_load["model"] == "m3" and by_load["load_friction_base"] > 0.0
+    save_model(model, tmp_path / "m.json")
+    command = ["export", str(tmp_path / "m.json"), "--out", str(tmp_path / "rl"), "--servo"]
+    assert main([*command, "mx28", "--to", "learning"]) == 2 and main([*command, "mx64", "--to", "mjcf"]) == 2
+    assert "none that BAM bundles" in capsys.readouterr().err

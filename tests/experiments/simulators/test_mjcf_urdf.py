@@ -1,6 +1,7 @@
 """Models as MJCF and URDF: MuJoCo reads both, and moves as `legid simulate` says."""
 
 import json
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from daq import load_rig
 from daq.recording.plan import Plan, write_plan
 from daq.runs.csv_run import read_csv
 from experiments.cli import main
 from experiments.models.effect_library import known_effects
 from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import EffectValue
-from tests.support.models import LEG, write_model
+from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
 
 RATE_HZ = 500.0
@@ -232,3 +234,25 @@ def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, capsys: p
     assert len(errors) == 3
     assert "one or two links" in errors[0] and "volt" in errors[1] and "--rate" in errors[2]
     assert json.loads(biped.read_text())["schema"] == "legid.model/1"
+
+
+def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                              ) -> None:
+    """The speed bound falls as the joint can decelerate; at rest all torque is there."""
+    model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
+    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
+    limits = load_rig(tmp_path / "rig.toml").limits
+    out = tmp_path / "leg.urdf"
+    command = ["export", str(model), "--to", "urdf", "--out", str(out)]
+    assert main(command) == 0 and "no joint has a limit" in capsys.readouterr().err
+    assert main([*command, "--force", "--rig", str(tmp_path / "rig.toml")]) == 0
+    assert "no joint has a limit" not in capsys.readouterr().err
+    passive, driven = ET.parse(out).getroot().findall("joint")
+    assert passive.get("type") == driven.get("type") == "revolute" and passive.find("safety_controller") is None
+    bound, keeper = driven.find("limit"), driven.find("safety_controller")
+    assert bound is not None and keeper is not None
+    assert (float(bound.get("effort", 0)), float(bound.get("upper", 0))) == (limits.torque_nm, limits.q2_rad)
+    speed, k_position = float(bound.get("velocity", 0)), float(keeper.get("k_position", 0))
+    assert speed == limits.speed_radps and k_position * speed == pytest.approx(limits.stop_radps2)
+    assert float(keeper.get("k_velocity", 0)) * speed == pytest.approx(limits.torque_nm)
+    assert mujoco.MjModel.from_xml_path(str(out)).jnt_range[1, 1] == pytest.approx(limits.q2_rad)
