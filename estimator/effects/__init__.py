@@ -2,6 +2,7 @@
 
 from estimator.effects.backlash import Backlash
 from estimator.effects.base import (
+    WHEEL_M,
     Axis,
     BodyEffect,
     Effect,
@@ -30,6 +31,7 @@ from estimator.effects.stribeck_friction import StribeckFriction
 __all__ = [
     "ENTRY_POINT",
     "UNTESTABLE",
+    "WHEEL_M",
     "Axis",
     "Backlash",
     "BodyEffect",

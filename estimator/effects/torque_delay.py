@@ -16,9 +16,10 @@ class TorqueDelay(TorqueSensorEffect):
     """
 
     name = "torque_delay"
-    sizes = (Size("delay", "s", 0.001),)
+    sizes = (Size("delay", "s", 0.001, tolerance=5e-4),)
     sentence = "the measured torque is late against the torque that acted (early where the delay is negative)"
     reference = "dead time of a current loop; positive: the measurement is late"
+    tolerance_source = "half a period of a current loop of 1 kHz"
     experiment = "motion at high frequency: phase grows with it"
     depends_on = "du"
     plans = ("fast",)

@@ -97,7 +97,7 @@ def _compared(result: FitResult, shot: Shot, free: NDArray[np.bool_]) -> SecondO
     mechanism = result.mechanism
     open_ = result.open_parameters | _named(undetermined(mechanism, shot.beta, shot.covariance, free))
     compared = free & np.array([name not in open_ for name in mechanism.names])
-    both = np.hypot(result.half_width, shot.half_width)
+    both = np.hypot(result.shown_half_width, shot.half_width)
     apart = np.where(compared, np.abs(result.beta - shot.beta) / np.maximum(both, 1e-300), np.nan)
     return SecondOpinion("shooting", shot.beta, shot.half_width, apart)
 

@@ -15,7 +15,7 @@ import numpy as np
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
-from experiments.models import MechanismSettings
+from experiments.models import MechanismSettings, TrustValues
 from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
 from experiments.reports.run_agreement import units
@@ -149,6 +149,14 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
     if suspect and level == "good":
         return Trust("caution", f"TRUST WITH CARE: {'; '.join(suspect)}. {sentence}")
     return Trust(level, sentence, tuple(f"{text[:1].upper()}{text[1:]}." for text in suspect))
+
+
+def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
+    """`trust` in a model's free runs, after what the fit said of its parameters where that was not to trust them."""
+    if of_fit is None or of_fit.level != "bad":
+        return trust
+    return Trust("bad", f"{of_fit.sentence.partition(':')[0]}, as their fit said. Free runs: {trust.sentence}",
+                 (of_fit.sentence, *of_fit.reasons, *trust.reasons))
 
 
 def _for_what(whole: float, where: str, short: float, where_short: str, seconds: float) -> tuple[Level, str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq import ASSUMED, JOINTS, InputError, parse_rig, quoted, write_file
+from experiments.rig.tolerances import tolerance_table
 
 Line = Callable[..., str]
 
@@ -71,7 +72,8 @@ def rig_toml(facts: RigFacts) -> str:
                   line("side", '"motor"', "motor | joint: where the drive's angle and torque are meant", "side"),
                   line("sign", "1", "-1: the drive counts backwards when the knee's angle grows", "sign")]), "",
               "[sampling]", line("rate_hz", "100.0", "grid on which runs are aligned [Hz]"),
-              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), ""]
+              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), "",
+              *tolerance_table(line), ""]
     if not facts.records:
         more = "# A rig that records has [devices], [limits] and [calibration], too: docs/rig.md"
         return "\n".join([*parts, more, ""])
