@@ -65,8 +65,7 @@ FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_no
                       "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
                       "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
                       "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
-                      "omitted_effect",
-                      "not_shown"]
+                      "omitted_effect", "budget", "not_shown"]
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,8 @@ class BudgetPart:
     """Part of the covariance of the p parameters that one source of uncertainty adds."""
 
     source: str
-    """noise, scatter (between runs), structure, torque_gain, or an effect's key."""
+    """noise, scatter (between runs), step (to the faults that the runs suggest), structure, torque_gain, or an effect's
+    key."""
     directions: FloatArray
     """(k, p) rows; the sum of their outer products is the part."""
     tolerance: tuple[float, ...] = ()
@@ -206,11 +206,9 @@ class Budget:
     parts: tuple[BudgetPart, ...]
     """Their covariances add up to that of the fit."""
     moved: FloatArray
-    """(p,) by how much the likeliest small faults within the tolerances moved the parameters"""
+    """(p,) by how much the estimate was moved, half way to that with the likeliest faults within the tolerances"""
     enlarged: Mapping[str, float] = field(default_factory=dict)
     """Group of tolerances -> factor by which the runs have enlarged it."""
-    contradicted: tuple[str, ...] = ()
-    """Those of them that the runs want larger than a linear step can hold: the estimate is then not moved."""
 
     def part(self, source: str) -> BudgetPart | None:
         """The part of this source; None where there is none."""

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.result import Budget, BudgetPart, FitResult
 from estimator.score import (
-    MOST_FACTOR,
     STRUCTURE,
     Marginal,
     Nuisance,
     RunScores,
     Score,
+    discounted,
     enlarged,
     marginalise,
     projected,
     with_torque_gain,
 )
 
-NOISE, SCATTER = "noise", "scatter"
+NOISE, SCATTER, STEP = "noise", "scatter", "step"
 
 
 def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
@@ -32,27 +32,34 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
 
     `whole` and each of `scores` are over m parameters, of which `known` has the estimated ones (m,) and the information
-    of a prior, and the columns of `nuisances`.
+    of a prior, and the columns of `nuisances`. The step to the likeliest nuisances is right where the noise is as the
+    model says, and wrong where it is not. The estimate is half way, with a rectangular distribution between both ends
+    (JCGM 100, 4.3.7). Tolerances that the runs contradict are wider in the covariance and not in the step: what is
+    wrong then may not be what they are of.
     """
     free, prior = known
-    full, gain = with_torque_gain(whole, result.beta, result.mechanism, stated)
-    found = projected(full, free, prior)
-    every, factors = enlarged(found, [*nuisances, *gain])
-    marginal = marginalise(found, every)
-    step, beyond = np.zeros(full.score.size), tuple(group for group, factor in factors.items() if factor >= MOST_FACTOR)
-    if not beyond:
-        step[np.flatnonzero(free)], step[free.size :] = marginal.step, marginal.sizes
+    used = np.flatnonzero([one.tolerance > 0.0 for one in nuisances])
+    columns = np.concatenate([np.arange(free.size), free.size + used])
+    full, *runs = (with_torque_gain(one.of(columns), result.beta, result.mechanism, stated)
+                   for one in (whole, *scores.scores))
+    every = [*(nuisances[int(k)] for k in used), *full.nuisances]
+    if not every:
+        return result, scores
+    plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
+    wide, factors = enlarged(plain, every)
+    marginal, likeliest = marginalise(robust, wide), marginalise(robust, every)
+    step = np.zeros(full.score.score.size)
+    step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
     p = len(result.beta)
     inside = np.flatnonzero(free[:p])
-    more = np.zeros((p, p))
-    more[np.ix_(inside, inside)] = marginal.noise[: inside.size, : inside.size]
-    noise = result.covariance + more
-    parts = _parts(marginal, every, p, inside)
-    budget = Budget((BudgetPart(NOISE, _root(noise)), *parts), step[:p], factors, beyond)
-    # what of the steps is a wrong scale of the torque moves all runs alike, and no score
-    moved = tuple(Score(one.score - one.information @ step[: one.score.size], one.information) for one in scores.scores)
+    noise = result.covariance.copy()
+    noise[np.ix_(inside, inside)] += marginal.noise[: inside.size, : inside.size]
+    parts = [BudgetPart(NOISE, _root(noise)), *_parts(marginal, wide, p, inside),
+             BudgetPart(STEP, step[None, :p] / np.sqrt(3.0))]
+    budget = Budget(tuple(part for part in parts if part.directions.any()), step[:p], factors)
+    moved = tuple(Score(one.score.score - one.score.information @ step, one.score.information) for one in runs)
     return (replace(result, beta=result.beta + step[:p], budget=budget,
-                    covariance=noise + np.sum([part.covariance for part in parts], axis=0)),
+                    covariance=noise + np.sum([part.covariance for part in parts[1:]], axis=0)),
             scores._replace(scores=moved))
 
 

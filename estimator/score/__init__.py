@@ -1,7 +1,7 @@
 """Score and information of runs over parameters, effects and generic terms; projection, scatter, tests; tolerances."""
 
-from estimator.score.enlargement import MOST_FACTOR, enlarged
-from estimator.score.marginal import Marginal, Projected, marginalise, projected
+from estimator.score.enlargement import enlarged
+from estimator.score.marginal import Marginal, Projected, discounted, marginalise, projected
 from estimator.score.nuisances import (
     ONLY,
     STRUCTURE,
@@ -28,9 +28,9 @@ from estimator.score.score_tests import (
 )
 
 __all__ = [
-    "ALPHA", "HIDDEN", "MOST_FACTOR", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance",
-    "Projected", "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of", "default_tolerances", "determined",
-    "enlarged", "least_sigmas", "marginalise", "nuisance_candidates", "nuisances_of", "own_inflation", "project",
-    "projected", "robust_covariance", "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources",
-    "total", "with_torque_gain",
+    "ALPHA", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance", "Projected",
+    "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of", "default_tolerances", "determined",
+    "discounted", "enlarged", "least_sigmas", "marginalise", "nuisance_candidates", "nuisances_of", "own_inflation",
+    "project", "projected", "robust_covariance", "score_alone", "score_at", "score_runs", "student_quantile",
+    "tolerance_sources", "total", "with_torque_gain",
 ]

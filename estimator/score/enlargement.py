@@ -19,8 +19,7 @@ from estimator.score.nuisances import Nuisance
 from estimator.score.score_tests import ALPHA
 
 FACTORS = 2.0 ** np.arange(0.0, 4.5, 0.5)
-"""Factors of a tolerance that are tried. Where the runs ask for the last one, a linear step says nothing more."""
-MOST_FACTOR = float(FACTORS[-1])
+"""Factors of a tolerance that are tried."""
 MOST_STEPS = 24
 AGAIN = 0.1
 """Share of the significant gain for which a group that has passed the test changes its factor again."""

@@ -23,6 +23,12 @@ from daq import FloatArray
 from estimator.numerics import pseudo_inverse
 from estimator.score.nuisances import Nuisance
 from estimator.score.score import HIDDEN, Score
+from estimator.score.score_tests import scatter_of
+
+OUTLYING = 4.0
+"""Squared score of a direction, over what noise and tolerances make of it on average, beyond which noise is larger."""
+SEEN = 1e-8
+"""Information about a direction, in units of the tolerances, below which the runs say nothing of it."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,37 @@ def projected(score: Score, free: NDArray[np.bool_], prior: FloatArray | None = 
     gone = np.diag(information) < HIDDEN * np.diag(score.information)[rest]
     left[gone], information[gone], information[:, gone] = 0.0, 0.0, 0.0
     return Projected(left, 0.5 * (information + information.T), carry)
+
+
+def discounted(found: Projected, free: NDArray[np.bool_], runs: Sequence[Score], nuisances: Sequence[Nuisance]
+               ) -> tuple[Projected, Projected]:
+    """`found` with the noise that its directions really have, and the same without those that contradict it; no
+    tolerance is zero.
+
+    Directions are the eigenvectors of the information in units of the tolerances. The variance of one's noise, in units
+    of white noise, is the scatter of its score between `runs`, or segments of one. In the second result the excess of a
+    score over what that and the tolerances allow counts as noise, too, so that it moves nothing.
+    """
+    size = np.array([one.tolerance for one in nuisances])
+    values, axes = np.linalg.eigh(found.information * np.outer(size, size))
+    values = np.maximum(values, 0.0)
+    basis, own, rest = size[:, None] * axes, np.flatnonzero(free), np.arange(free.size, free.size + size.size)
+    mixed = -found.carry @ basis  # what of the parameters is projected out of each direction
+    scores = np.array([one.score[rest] @ basis + one.score[own] @ mixed for one in runs])
+    informations = np.array([np.sum(basis * (one.information[np.ix_(rest, rest)] @ basis), axis=0)
+                             + np.sum(mixed * (one.information[np.ix_(own, own)] @ mixed), axis=0)
+                             + 2.0 * np.sum(mixed * (one.information[np.ix_(own, rest)] @ basis), axis=0)
+                             for one in runs])
+    along = basis.T @ found.score
+    seen = values > SEEN
+    square = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0)
+    noise = scatter_of(scores, informations) if len(runs) > 1 else np.ones(size.size)
+    noise = np.where(seen, noise, 1.0)
+    larger = np.where(square > OUTLYING * (noise + values), np.maximum(noise, square - values), noise)
+    back = axes / size[:, None]
+    plain, robust = (Projected(back @ (along / one), (back * (values / one)) @ back.T, found.carry)
+                     for one in (noise, larger))
+    return plain, robust
 
 
 def marginalise(found: Projected, nuisances: Sequence[Nuisance]) -> Marginal:

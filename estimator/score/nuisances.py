@@ -76,8 +76,14 @@ def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated
             for k, tolerance in enumerate(_tolerances(one.effect, stated, reach))]
 
 
-def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, stated: Stated
-                     ) -> tuple[Score, list[Nuisance]]:
+class WithGain(NamedTuple):
+    """A score with the column of the torque's scale, and its nuisance; without either where there is none."""
+
+    score: Score
+    nuisances: tuple[Nuisance, ...] = ()
+
+
+def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, stated: Stated) -> WithGain:
     """`score` with a last column for the scale of all torques, which moves the parameters beta (p,) in proportion.
 
     tau_measured = (1 + g) tau, so that the parameters that the runs show are (1 + g) beta. None is added without a
@@ -85,11 +91,11 @@ def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, state
     """
     tolerance = float(next(iter(stated.get(TORQUE_GAIN, () if ONLY in stated else (GAIN,))), 0.0))
     if not mechanism.actuated or mechanism.force_unit == "V" or not tolerance:
-        return score, []
+        return WithGain(score)
     count = score.score.size
     along = np.append(beta, np.zeros(count - beta.size))
-    return (score.along(np.column_stack([np.eye(count), along])),
-            [Nuisance(TORQUE_GAIN, TORQUE_GAIN, tolerance)])
+    return WithGain(score.along(np.column_stack([np.eye(count), along])),
+                    (Nuisance(TORQUE_GAIN, TORQUE_GAIN, tolerance),))
 
 
 def torque_reach(problem: LatentProblem) -> FloatArray:

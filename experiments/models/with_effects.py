@@ -116,9 +116,9 @@ def fitted_model_of(model: Model) -> FittedModel:
     It is without the scale of the torque, which the torque of every run shares with the parameters.
     """
     mechanism, wide = build_mechanism(model.mechanism), np.array(widening_of(model))
-    pairs = effects_of(model)
+    pairs, covariance = effects_of(model), shown_covariance(model)
     return FittedModel(mechanism, model.hold, np.concatenate([np.array(model.beta), *[size for _, size in pairs]]),
-                       (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * shown_covariance(model),
+                       (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * covariance,
                        angle_range=np.array(model.reach, dtype=float) if pairs else None, gear_ratio=model.gear_ratio)
 
 

@@ -26,6 +26,7 @@ BARS = 5
 COLOURS = (ORANGE, GREEN, INK, "#c9a227", "#8a5fb0")
 HEADER = ["parameter", "value", "+- (95 %)", "largest parts of it, each as if it were alone"]
 WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
+         "step": "suggested faults",
          "imu_lever_arm": "lever arm"}
 """Source -> its words, where they are not its name."""
 
