@@ -76,7 +76,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
             result = _with_scores(result, problem, signals, state, free, skew, options)
-    known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
+    known = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
@@ -121,7 +121,7 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
                     for s in both)
     fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
     own = state.covariance.diagonal()[: result.mechanism.p]
-    scatter = without_tolerances(result).diagonal() / np.maximum(own, 1e-300)
+    scatter = without_tolerances(result)[1].diagonal() / np.maximum(own, 1e-300)
     spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 

@@ -72,13 +72,23 @@ def with_scatter(result: FitResult, covariance: FloatArray) -> FitResult:
     return replace(result, covariance=covariance, budget=budget)
 
 
-def without_tolerances(result: FitResult) -> FloatArray:
-    """(p, p) covariance by what the runs show themselves: noise and scatter between runs."""
+def with_tolerances_of(budget: Budget | None, covariance: FloatArray) -> tuple[FloatArray, Budget | None]:
+    """`covariance` (p, p) of another estimate from the same runs with what tolerances add to the `budget` of the first,
+    and the budget of both."""
+    if budget is None:
+        return covariance, None
+    parts = tuple(part for part in budget.parts if part.source not in (NOISE, SCATTER, STEP))
+    whole = covariance + np.sum([part.covariance for part in parts], axis=0)
+    return whole, Budget((BudgetPart(NOISE, _root(covariance)), *parts), np.zeros(len(covariance)), budget.enlarged)
+
+
+def without_tolerances(result: FitResult) -> tuple[FloatArray, FloatArray]:
+    """(p,) estimate and (p, p) covariance by what the runs show themselves: noise and scatter between runs."""
     if result.budget is None:
-        return result.covariance
+        return result.beta, result.covariance
     found: FloatArray = np.sum([part.covariance for part in result.budget.parts if part.source in (NOISE, SCATTER)],
                                axis=0)
-    return found
+    return result.beta - result.budget.moved, found
 
 
 def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: NDArray[np.intp]) -> list[BudgetPart]:

@@ -26,7 +26,7 @@ REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 LEAST_P = 1e-9
 """A smaller probability is printed as this one."""
-HELD = ("torque_residual", "sensor_residual", "repeating_torque", "omitted_effect")
+HELD = ("sensor_residual", "repeating_torque", "omitted_effect")
 """Kinds of findings that intervals with a budget hold, where the runs enlarge no tolerance by more than ..."""
 ALLOWED = 4.0
 """... this factor."""
