@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.effects import SensorEffect, classes
 from estimator.fitting.identifiability import plausible_sizes, uncertain_directions
 from estimator.fitting.prior import body_estimates, prior_at
 from estimator.model import has_bodies
 from estimator.numerics import pseudo_inverse
 from estimator.result import FitResult
+from estimator.score import TORQUE_GAIN
 
 CALIBRATED = 0.1
 """Share of a tolerance that a calibration leaves."""
@@ -91,10 +93,11 @@ def next_measurement(result: FitResult) -> Measurement | None:
 
 def _calibrations(result: FitResult, now: FloatArray, scale: FloatArray, free: NDArray[np.bool_]
                   ) -> list[Measurement]:
-    """One for each source of the budget that can be calibrated."""
+    """One for each source of the budget that can be calibrated: the scale of the torque, and what sensors read."""
     left, found = uncertain_directions(now, scale, free).shape[1], []
+    told = {TORQUE_GAIN, *(kind.name for kind in classes() if issubclass(kind, SensorEffect))}
     for part in result.budget.parts if result.budget else ():
-        if part.tolerance:
+        if part.tolerance and part.source.partition("@")[0] in told:
             after = np.diag(now) - (1.0 - CALIBRATED**2) * part.std**2
             ratio = np.sqrt(np.maximum(after, 0.0)[free] / np.maximum(np.diag(now)[free], 1e-300))
             widths = dict(zip(np.array(result.mechanism.names)[free], map(float, np.clip(ratio, 1e-3, 1.0))))

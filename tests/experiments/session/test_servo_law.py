@@ -20,7 +20,7 @@ from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_leg import follow
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
-RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
+RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg
     runs = [follow(leg, rng, gain=GAIN, name=f"run{k}") for k in range(2)]
     told = fitted(tmp_path, runs, "", "--fix", f"beta5={leg.beta()[4]}")
     low, high = told["servo_gain"]["ci95"]
-    assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.25 * GAIN
+    assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
     fixed, = (p for p in told["parameters"] if p["fixed"])
     assert (fixed["name"], fixed["value"], fixed["std"]) == ("beta5", pytest.approx(leg.beta()[4]), 0.0)
