@@ -316,7 +316,8 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         f"all noise is {colour(state.noise)}, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
-        "the model's form is right: its errors count as torque noise")
+        "the model's form is right" + ("" if options.tolerances is None else " within the tolerances")
+        + ": its errors count as torque noise")
     riders = [f"IMU {k + 1} on link {place.link + 1}" for k, place in enumerate(mechanism.imus) if place.link]
     if problem.has_imu and riders:
         lengths = ", ".join(f"{length:g} m" for length in mechanism.link_lengths)

@@ -30,7 +30,7 @@ from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
-from estimator.fitting.tolerances import with_tolerances_of
+from estimator.fitting.tolerances import with_tolerances_of, without_tolerances
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -99,7 +99,8 @@ def _compared(result: FitResult, shot: Shot, free: NDArray[np.bool_]) -> SecondO
     open_ = result.open_parameters | _named(undetermined(mechanism, shot.beta, shot.covariance, free))
     compared = free & np.array([name not in open_ for name in mechanism.names])
     both = np.hypot(result.shown_half_width, shot.half_width)
-    apart = np.where(compared, np.abs(result.beta - shot.beta) / np.maximum(both, 1e-300), np.nan)
+    likeliest, _ = without_tolerances(result)  # shooting knows of no tolerances either
+    apart = np.where(compared, np.abs(likeliest - shot.beta) / np.maximum(both, 1e-300), np.nan)
     return SecondOpinion("shooting", shot.beta, shot.half_width, apart)
 
 

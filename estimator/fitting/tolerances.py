@@ -43,7 +43,7 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     full, *runs = (with_torque_gain(one.of(columns), result.beta, result.mechanism, stated)
                    for one in (whole, *scores.scores))
     every = [*(nuisances[int(k)] for k in used), *full.nuisances]
-    if not every:
+    if not every or not np.isfinite(result.covariance).all():
         return result, scores
     plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
     wide, factors = enlarged(plain, every)

@@ -24,7 +24,7 @@ LEAST = 0.1
 BARS = 5
 """Sources with a colour of their own in a bar."""
 COLOURS = (ORANGE, GREEN, INK, "#c9a227", "#8a5fb0")
-HEADER = ["parameter", "value", "+- (95 %)", "largest parts of it, each as if it were alone"]
+HEADER = ["parameter", "value", "+- (95 %)", "largest parts, each alone"]
 WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
          "step": "suggested faults",
          "imu_lever_arm": "lever arm"}

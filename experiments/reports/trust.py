@@ -51,7 +51,7 @@ class Trust:
     def verdict(self, warnings: Sequence[str] = ()) -> VerdictBox:
         """For the head of a page."""
         title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
-        lines = [f"{rest[:1].upper()}{rest[1:]}"] if rest else []
+        lines = [_line(rest).removesuffix(".")] if rest else []
         return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
 
 
