@@ -159,7 +159,7 @@ def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
     if of_fit is None or of_fit.level != "bad":
         return trust
     return Trust("bad", f"{of_fit.sentence.partition(':')[0]}, as their fit said. Free runs: {trust.sentence}",
-                 (of_fit.sentence, *of_fit.reasons, *trust.reasons))
+                 (f"The fit: {of_fit.sentence}", *trust.reasons))
 
 
 def _for_what(whole: float, where: str, short: float, where_short: str, seconds: float) -> tuple[Level, str]:

@@ -15,7 +15,7 @@ from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
 from estimator.model import Mechanism, body_values
-from estimator.score import ONLY, STRUCTURE, default_tolerances
+from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
 FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
@@ -76,13 +76,14 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
 
 def stated_tolerances(rig: Rig, mechanism: Mechanism) -> dict[str, tuple[float, ...]] | None:
     """Those of the rig file; None where all are zero. Raises `InputError` for a name that no effect has."""
-    known, joints = (*default_tolerances(), STRUCTURE, ONLY), {str(j + 1) for j in range(mechanism.n)}
-    for key in rig.tolerances:
+    found = dict(rig.tolerances)
+    known = (*default_tolerances(), STRUCTURE, ONLY) if set(found) - {TORQUE_GAIN, ONLY} else (TORQUE_GAIN, ONLY)
+    joints = {str(j + 1) for j in range(mechanism.n)}
+    for key in found:
         name, _, joint = key.partition("@")
         if name not in known or (joint and joint not in joints):
             raise InputError("the rig file", f"[tolerance] {key.replace('@', '.')} is no effect of this rig"
                              f"{did_you_mean(name, known)}", "legid effects lists them")
-    found = dict(rig.tolerances)
     return None if set(found) == {ONLY} else found
 
 
