@@ -42,6 +42,8 @@ SHAPES = 3
 """Most points of an effect's grid of shapes: what lies between two is nearly in their span."""
 REACHED = 0.99
 """Quantile of the measured torque's size that counts as its reach."""
+POWERS_OF_U = {"u": 1, "u^2": 2}
+"""Generic term -> power of the motor's torque that it is: its tolerance is for a torque that reaches one."""
 Stated = Mapping[str, Sequence[float]]
 """Effect, or effect@joint, to the tolerance of each size."""
 
@@ -73,7 +75,7 @@ def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated
     """One for each column of `candidates`."""
     reach = torque_reach(problem)
     return [Nuisance(*_place(one.effect), tolerance, k) for one in candidates
-            for k, tolerance in enumerate(_tolerances(one.effect, stated, reach))]
+            for k, tolerance in enumerate(_tolerances(one.effect, stated, reach, problem.mechanism.length_unit == "m"))]
 
 
 class WithGain(NamedTuple):
@@ -140,9 +142,11 @@ def _stated(effect: Effect, stated: Stated) -> tuple[float, ...]:
     return tuple(0.0 if ONLY in stated else size.tolerance for size in effect.sizes)
 
 
-def _tolerances(effect: Effect, stated: Stated, reach: FloatArray) -> list[float]:
+def _tolerances(effect: Effect, stated: Stated, reach: FloatArray, slide: bool) -> list[float]:
     if isinstance(effect, GenericTorque | GenericReading):
-        factor = float(stated.get(STRUCTURE, (1.0,))[0])
+        factor = float(stated.get(STRUCTURE, (1.0,))[0]) * float(reach.max()) ** -POWERS_OF_U.get(effect.label, 0)
+        if slide and isinstance(effect, GenericReading) and effect.channel.kind == "encoder":
+            factor *= WHEEL_M
         return [factor * _scaled(size, effect, reach) for size in effect.sizes]
     if effect.key in stated or effect.name in stated:
         return list(_stated(effect, stated))
