@@ -44,6 +44,8 @@ class Dataset:
     """The touchdowns by which a walker's run was cut."""
     recorded_on: Rig | None = None
     """The rig file that a native run holds."""
+    torque_delay_s: float = 0.0
+    """By how much its torques were moved, from when they were measured to when they act [s]."""
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]

@@ -148,9 +148,24 @@ class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Sampling(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    rate_hz: Positive = 100.0
-    hold: Literal["auto", "zero", "linear", "average", "smooth"] = "auto"
+    rate_hz: Positive | None = None
+    """Of the grid; None: each record's own."""
+    hold: Literal["auto", "zero", "past", "linear", "average", "smooth"] = "auto"
     """How the measured torque acts between samples; auto: as the motion makes likeliest."""
+
+    @property
+    def planned_hz(self) -> float:
+        """Rate that a plan counts on before there is a record."""
+        return 100.0 if self.rate_hz is None else self.rate_hz
+
+
+class Timing(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known of the times between a stamp and what it stamps."""
+
+    torque_delay_s: tuple[float, float] | None = None
+    """How long after its stamp, beyond its hold, a torque acts, and the standard deviation of that."""
+    control_period_s: Positive | None = None
+    """From one tick of the controller to the next: its torque is held between ticks, of which a log may keep some."""
 
 
 class Filter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -210,6 +225,7 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     motor: Motor = Motor()
     noise: Noise = Noise()
     sampling: Sampling = Sampling()
+    timing: Timing = Timing()
     filter: Filter = Filter()
     devices: Devices = Devices()
     limits: Limits = Limits()

@@ -12,6 +12,7 @@ from .resample import HOLE_PERIODS as HOLE_PERIODS
 from .resample import TimedColumns as TimedColumns
 from .resample import align_channels as align_channels
 from .resample import align_table as align_table
+from .resample import own_rate as own_rate
 from .skew import measure_skew as measure_skew
 from .torque_channels import TorqueChannels as TorqueChannels
 from .torque_channels import compare_torque_channels as compare_torque_channels

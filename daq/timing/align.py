@@ -21,7 +21,7 @@ from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
-from daq.timing.resample import TimedColumns, align_channels
+from daq.timing.resample import TimedColumns, align_channels, own_rate
 
 RAIL = 32_767
 """Counts of 16 bits at the end of an axis's range."""
@@ -96,13 +96,16 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
 
 
 def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
-    """Run on a grid of `rate_hz` (default: the rig's), its columns and times those of `decode`.
+    """Run on a grid of `rate_hz`, its columns and times those of `decode`.
+
+    The default is the rig's rate, else that of the slower of torque and IMU.
 
     Between samples of an instantaneous current the torque follows the commands (`held_torque`). Raises `InputError`
     when the run is too short to be timed.
     """
     found = decode(raw, rig)
-    rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
+    rate = rate_hz or rig.sampling.rate_hz or own_rate(
+        [channel for channel in found.channels if {"tau2_nm", "gyro_radps"} & set(channel.columns)])
     split = None
     if found.held is not None:
         (sampled,) = (channel for channel in found.channels if "tau2_nm" in channel.columns)

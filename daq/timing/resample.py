@@ -14,7 +14,7 @@ pause of a fast logger that is shorter than the grid's step hides nothing that t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -51,23 +51,34 @@ class TimedColumns(NamedTuple):
     """(n,) each; a NaN is a sample that was not measured."""
 
 
-def align_table(table: RawTable, rate_hz: float) -> Dataset:
-    """`table` on a uniform grid of `rate_hz`.
+def own_rate(channels: Sequence[TimedColumns]) -> float:
+    """Rate of the slowest of the channels, to three digits [Hz]: on a grid of it nothing is interpolated in between."""
+    return float(f"{min(_rate(channel.time_s) for channel in channels):.3g}")
+
+
+def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
+    """`table` on a uniform grid of `rate_hz`, by default of its own rate.
 
     Samples that lie on such a grid already (within 1 % of a step) are taken as they are. Raises `InputError` where
     they come too seldom for it.
     """
+    columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
     step_s = 1.0 / max(_rate(table.time_s), 1e-12)
+    if rate_hz is None:
+        rate_hz = own_rate([TimedColumns(table.time_s, columns)])
     if step_s * rate_hz > _SPARSE:
         raise InputError(table.name, f"has a sample every {step_s:.3g} s, the grid is of {rate_hz:g} Hz",
                          'check that time_s is in seconds (unit = "ms" under [columns.time_s]), or lower rate_hz under '
                          "[sampling]")
     time_s = snapped_times(table.time_s, rate_hz)
-    columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
     run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
     if step_s * rate_hz > OVERSAMPLED:
         text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
-                f"times, and intervals are too narrow; set rate_hz = {1.0 / step_s:.3g} under [sampling]")
+                f"times, and intervals are too narrow; take rate_hz out of [sampling]")
+        run = replace(run, flags=(*run.flags, Flag("grid", text)))
+    elif step_s * rate_hz * OVERSAMPLED <= 1.0:
+        text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: they are averaged, and what moves "
+                "faster is lost; take rate_hz out of [sampling] to use all")
         run = replace(run, flags=(*run.flags, Flag("grid", text)))
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))

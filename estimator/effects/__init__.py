@@ -27,6 +27,7 @@ from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
 from estimator.effects.sensor_time_skew import SensorTimeSkew
 from estimator.effects.state_torque import StateTorque, Table, Variable
 from estimator.effects.stribeck_friction import StribeckFriction
+from estimator.effects.torque_delay import TorqueDelay
 
 __all__ = [
     "ENTRY_POINT",
@@ -56,6 +57,7 @@ __all__ = [
     "StateTorque",
     "StribeckFriction",
     "Table",
+    "TorqueDelay",
     "TorqueEffect",
     "Variable",
     "View",

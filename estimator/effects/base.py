@@ -238,6 +238,10 @@ class Effect(ABC):
         """Number of sizes and shapes."""
         return len(self.sizes) + len(self.shapes)
 
+    def told(self, size: FloatArray) -> str:
+        """`sentence` with what the signs of the sizes (count,) say, in words."""
+        return self.sentence
+
     def tried(self, shape: Shape) -> tuple[float, ...]:
         """The shape's grid, in the unit that its joint moves in."""
         factor = WHEEL_M if self.slide and shape.unit.startswith("rad") else 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.sensor_effects import TorqueSensorEffect
@@ -11,20 +13,30 @@ from estimator.signals import Channel, torque_of
 class TorqueDelay(TorqueSensorEffect):
     """reading(t) = u(t - d).
 
-    Of the reading only what is slow is moved in time: noise that falls between samples is averaged, and an estimate
-    would be drawn to half a sample for it.
+    Of the reading only what is slow is moved by parts of a sample: noise that falls between samples is averaged, and an
+    estimate would be drawn to half a sample for it. What is fast, such as a controller's steps, moves by whole samples.
     """
 
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001, tolerance=5e-4),)
-    sentence = "the measured torque is late against the torque that acted (early where the delay is negative)"
+    sentence = "the torque acts earlier than it was measured (later where the delay is negative), beyond its hold"
     reference = "dead time of a current loop; positive: the measurement is late"
     tolerance_source = "half a period of a current loop of 1 kHz"
     experiment = "motion at high frequency: phase grows with it"
     depends_on = "du"
     plans = ("fast",)
 
+    def told(self, size: FloatArray) -> str:
+        """Which of both comes first, and by how much."""
+        late_ms = 1e3 * abs(float(size[0]))
+        return f"the torque acts {late_ms:.3g} ms {'before' if size[0] > 0.0 else 'after'} it was measured"
+
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
-        slow = view.measured.slow if view.measured is not None else {}
-        return {torque_of(j): view.delayed(view.samples.u[j], slow.get(torque_of(j)), size[0])
-                for j in self.driven(view)}
+        if view.measured is None:
+            return {torque_of(j): view.delayed(view.samples.u[j], None, size[0]) for j in self.driven(view)}
+        found, whole_s = {}, view.dt_s * np.trunc(size[0] / view.dt_s)
+        for channel in (torque_of(j) for j in self.driven(view)):
+            slow = view.measured.slow[channel]
+            fast = view.measured.readings[channel] - slow
+            found[channel] = view.delayed(slow, slow, size[0]) + (view.delayed(fast, fast, whole_s) if whole_s else 0.0)
+        return found

@@ -14,10 +14,12 @@ from estimator.fitting.prior import combined
 from estimator.fitting.profile_likelihood import EXACT_ENCODER
 from estimator.fitting.wls import driven_first, stack_regressors, weighted_least_squares
 from estimator.likelihood import LatentProblem, Latents, Noise, State
-from estimator.model import Mechanism
+from estimator.model import STEPPED, Mechanism
 from estimator.options import FitOptions
 from estimator.signals import Kinematics, SignalSet, differentiate
 
+ACTIVE = 0.5
+"""Least noise of a torque over its activity from sample to sample: of a controller with two ticks a sample 0.6."""
 GENTLE = 0.15
 """Share of the usual cutoff that `gentle_start` leaves of the motion; from 0.1 to 0.2 its fits end in one place."""
 
@@ -26,7 +28,7 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
                 free: NDArray[np.bool_], beta: FloatArray) -> State:
     """Filtered motion, its least squares fit and rough noise levels."""
     cutoff = options.cutoff(signals[0].rate_hz)
-    motions = _start_motions(signals, mechanism, options)
+    motions = start_motions(signals, mechanism, options)
     z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
     start = beta
     beta, covariance, sigma = weighted_least_squares(z, tau, free, start, 1.0)
@@ -58,10 +60,10 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
 def start_motion(problem: LatentProblem, signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions
                  ) -> Latents:
     """Filtered motion, with the measured torque: that of `start_state`."""
-    return _latents(problem, _start_motions(signals, mechanism, options))
+    return _latents(problem, start_motions(signals, mechanism, options))
 
 
-def _start_motions(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
+def start_motions(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
     rate = signals[0].rate_hz
     cutoff = min(2.0 * options.cutoff(rate), 0.4 * rate)
     return [differentiate(s, mechanism, cutoff, options.filter_order, fused=True) for s in signals]
@@ -115,9 +117,16 @@ def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Me
 
 
 def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray) -> Noise:
-    """Levels below which no estimate may fall: they only keep the equations solvable."""
+    """Levels below which no estimate may fall.
+
+    They keep the equations solvable. A torque's activity from sample to sample is noise where the hold lets it act
+    otherwise than in steps: its sensor's noise, or a controller's steps of which the record holds only some.
+    """
     scale = max(float(np.std(problem.torque)), 1e-3 * float(np.max(np.abs(beta), initial=0.0)) * mechanism.gravity_mps2,
                 1e-6)
     shown = problem.shown
-    return Noise(np.full(mechanism.n, 2e-3 * scale), np.maximum(0.7 * shown.encoder, 1e-8),
+    torque = np.full(mechanism.n, 2e-3 * scale)
+    if problem.collocation.hold not in STEPPED:
+        torque = np.maximum(torque, ACTIVE * shown.torque)
+    return Noise(torque, np.maximum(0.7 * shown.encoder, 1e-8),
                  np.maximum(0.7 * shown.gyro, 1e-6), np.maximum(0.7 * shown.accel, 1e-5))

@@ -30,6 +30,7 @@ from estimator.fitting.disturbance import (
 from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
+from estimator.fitting.imu_age import LATEST_S, rough_age
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
@@ -45,8 +46,10 @@ from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.score import agreement_of, nuisance_candidates, nuisances_of, score_at, score_runs, total
-from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
+from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals, with_earlier_imu
 
+LEAST_AGE_S = 5e-4
+"""Rough age of an IMU from which on its readings are moved before the fit; less is a term of the fit [s]."""
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
 DISTURBANCE_ROUNDS = 3
@@ -58,6 +61,8 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
     free, beta = free_mask(mechanism, options)
+    bound_s = max(d.clock_bound_s for d in datasets)
+    signals, age_s = _without_age(signals, mechanism, options, free, beta, bound_s)
     problem, state, chosen = _search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
@@ -65,11 +70,11 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         options = replace(options, hold=chosen.hold)
         problem, state = _search(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
-    bound_s = max(d.clock_bound_s for d in datasets)
     skew, found = None, None
-    if bound_s > 0.0 and problem.has_imu:
+    aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
+    if (bound_s > 0.0 or aged) and problem.has_imu:
         floors = noise_floors(problem, mechanism, state.beta)
-        state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
+        state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
     if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
@@ -88,8 +93,9 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
 
 def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
     """(hold, mechanism with its friction smoothing velocities) with which `fit_mle` fits. Raises `FitError`."""
-    signals = split_signals(datasets, mechanism, options)
-    problem, _, chosen = _search_hold(signals, mechanism, options, *free_mask(mechanism, options))
+    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
+    signals, _ = _without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
+    problem, _, chosen = _search_hold(signals, mechanism, options, *mask)
     return problem.collocation.hold if chosen is None else chosen.hold, problem.mechanism
 
 
@@ -126,13 +132,24 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
+def _without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+                 beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
+    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times."""
+    if options.hold != AUTO or bound_s > 0.0:
+        return signals, 0.0
+    age_s = rough_age(signals, mechanism, options, free, beta)
+    if abs(age_s) < LEAST_AGE_S:
+        return signals, 0.0
+    return [with_earlier_imu(s, age_s) for s in signals], age_s
+
+
 def _search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
                  beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
     """As `_search`, under the hold FIRST where `options` state none; then with the likeliest hold at its end."""
     if options.hold != AUTO:
         return *_search(signals, mechanism, options, free, beta), None
     problem, state = _search(signals, mechanism, replace(options, hold=FIRST), free, beta)
-    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem)
+    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem, options)
 
 
 def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
@@ -191,9 +208,11 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
 
 
 def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
-               options: FitOptions, floors: Noise, bound_s: float
+               options: FitOptions, floors: Noise, bound_s: float, age_s: float = 0.0
                ) -> tuple[State, float | None, str]:
     """`state` with the IMU's time line free against the controller's, and a sentence about it.
+
+    `bound_s` is 0 where no clock says how late the readings are; they were moved by `age_s` already.
 
     Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
@@ -203,6 +222,12 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
+    if bound_s == 0.0:
+        late = skew + age_s
+        told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
+                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
+        return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
+            state, None, "how late the IMU is is not determined by this motion")
     if not again.converged or std > bound_s:
         return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
                              "does not determine it better")
@@ -212,8 +237,13 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
                              "run legid diagnose")
     told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
             f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
+    return _skewed(state, again), skew, told
+
+
+def _skewed(state: State, again: State) -> State:
+    """The state of the fit with a skew, after that of `state`, without the skew."""
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
-                 state.iterations + again.iterations), skew, told
+                 state.iterations + again.iterations)
 
 
 def _late(skew_s: float) -> str:

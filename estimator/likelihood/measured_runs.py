@@ -14,7 +14,7 @@ from daq import FloatArray
 from estimator.effects import Record
 from estimator.likelihood import correlated_torque
 from estimator.likelihood.noise import Noise
-from estimator.model import Collocation, Mechanism
+from estimator.model import Collocation, Mechanism, ticks_of
 from estimator.signals import (
     GYRO,
     Channel,
@@ -66,7 +66,7 @@ class MeasuredRuns:
         self.torque = np.concatenate([s.torque for s in signals])
         self.between: FloatArray | None = None
         """(n, 2, K) torque at the Gauss points beyond what the latents at samples give: of the measured torque."""
-        if hold == "smooth":
+        if hold == "smooth" or ticks_of(hold) > 1:
             self.between = self._curve([s.low_passed("torque", CURVED / self.dt) for s in signals])
         self.angles = np.concatenate([s.angles for s in signals])
         spread = [s.spread for s in signals if s.spread is not None]
@@ -97,6 +97,12 @@ class MeasuredRuns:
             return self
         own, rate = copy(self), 1.0 / self.dt
         own.between = self._curve([lowpass(part, CURVED * rate, rate) for part in np.split(u, self.ends[:-1])])
+        return own
+
+    def delayed(self, late: float) -> Self:
+        """The same with a torque that acts later by `late` [samples], see `Collocation`."""
+        own = copy(self)
+        own.collocation = Collocation(self.mechanism, self.dt, self.collocation.hold, late)
         return own
 
     def with_stiction(self, known: FloatArray | None) -> Self:

@@ -28,7 +28,13 @@ MOMENT = 2.0 * np.sqrt(3.0)
 """Half the difference of the values at the Gauss points, by the first moment that they stand for."""
 SPLINE_REACH = 24
 """Samples beyond which a spline's slope feels nothing: 0.27^24 is 1e-14."""
-HOLDS = ("zero", "linear", "average", "smooth")
+HELD = "zero"
+"""Hold of a torque that acts from its stamp until the next one: that of a digital controller."""
+TICKS = (2, 3, 4, 5, 10)
+"""Ticks of a controller from one sample of its log to the next that are told apart; more are `smooth`."""
+STEPPED = {HELD: 0.5, "average": 0.0, "past": -0.5}
+"""Holds of a torque that steps once a sample, to how late it acts in the mean [samples]."""
+HOLDS = (HELD, *(f"{HELD}/{n}" for n in TICKS), "past", "linear", "average", "smooth")
 
 
 def after(samples: Samples) -> Samples:
@@ -44,20 +50,39 @@ def hermite(s: float, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     return angle, rate, accel
 
 
-def hold_weights(hold: str) -> FloatArray:
+def hold_weights(hold: str, late: float = 0.0) -> FloatArray:
     """(2, 2) torque at each Gauss point as weights of the samples at the interval's ends.
 
-    zero: the sample before. linear: a ramp. average: a sample is the mean over a window centred on its
-    stamp, so it acts until half-way. smooth: as linear; `Collocation.between` adds the curve.
-    Raises ValueError for others.
+    `late` [samples] delays the torque further: of `zero` in [0, 1], where the sample before the interval's first takes
+    the first one's place (it acts until `late`, the first one after), else of about half a sample at most.
+
+    zero: the sample before. past: the sample after, which is the mean over the interval that ends at its stamp.
+    linear: a ramp. average: a sample is the mean over a window centred on its stamp, so it acts until half-way. smooth:
+    as linear; `Collocation.between` adds the curve. zero/N: held by a controller with N ticks a sample, of which the
+    log has one: smooth, and late by `lag`. Raises ValueError for others.
     """
     if hold not in HOLDS:
         raise ValueError(f"hold {hold!r} is none of {HOLDS}")
-    if hold == "zero":
+    if hold == HELD and late:
+        mean, moment = np.array([late, 1.0 - late]), 0.5 * MOMENT * late * (1.0 - late) * np.array([-1.0, 1.0])
+        return np.stack([mean - moment, mean + moment])
+    if hold == HELD:
         return np.array([[1.0, 0.0], [1.0, 0.0]])
+    if hold == "past":
+        return np.array([[0.0, 1.0], [0.0, 1.0]])
     if hold == "average":
         return np.array([[1.0, 0.0], [0.0, 1.0]])
-    return np.array([[1.0 - GAUSS[0], GAUSS[0]], [1.0 - GAUSS[1], GAUSS[1]]])
+    return np.array([[1.0 - s, s] for s in (g - lag(hold) - late for g in GAUSS)])
+
+
+def ticks_of(hold: str) -> int:
+    """Ticks of the controller a sample of the log; 0 where the hold names no controller."""
+    return 0 if not hold.startswith(HELD) else int(hold.partition("/")[2] or 1)
+
+
+def lag(hold: str) -> float:
+    """Samples by which a torque acts after its stamp in the mean: half a tick of the controller that holds it."""
+    return STEPPED.get(hold, 0.5 / ticks_of(hold) if ticks_of(hold) else 0.0)
 
 
 def spline_slopes(u: FloatArray) -> FloatArray:
@@ -73,11 +98,18 @@ def spline_slopes(u: FloatArray) -> FloatArray:
     return np.stack([np.convolve(x[2:] - x[:-2], weights, "valid") for x in wide.T], axis=-1)
 
 
+def _bend(s: float, d0: FloatArray, d1: FloatArray, rise: FloatArray) -> FloatArray:
+    """(n, K) what a cubic with slopes d0, d1 and this rise over an interval has over a straight line at fraction s."""
+    bend: FloatArray = (s**3 - 2 * s**2 + s) * d0 + (s**3 - s**2) * d1 + (3 * s**2 - 2 * s**3 - s) * rise
+    return bend
+
+
 class Collocation:
     """Regressor and derivatives at the Gauss points for one mechanism, step and hold."""
 
-    def __init__(self, mechanism: Mechanism, dt_s: float, hold: str) -> None:
-        self.mechanism, self.dt, self.hold = mechanism, dt_s, hold
+    def __init__(self, mechanism: Mechanism, dt_s: float, hold: str, late: float = 0.0) -> None:
+        """`late`: further delay of the torque [samples], see `hold_weights`."""
+        self.mechanism, self.dt, self.hold, self.late = mechanism, dt_s, hold, late
 
     @cached_property
     def basis(self) -> FloatArray:
@@ -92,7 +124,7 @@ class Collocation:
     @cached_property
     def torque_weights(self) -> FloatArray:
         """(2, 2) of `hold_weights`."""
-        return hold_weights(self.hold)
+        return hold_weights(self.hold, self.late)
 
     def motion(self, q: FloatArray, v: FloatArray, left: Samples) -> Motion:
         """Features on the intervals from each sample of `left` to the next; q, v (N, n)."""
@@ -106,18 +138,22 @@ class Collocation:
 
     def between(self, u: FloatArray, ends: NDArray[np.intp]) -> FloatArray | None:
         """Torque at the Gauss points beyond `torque` (n, 2, K), from samples u (N, n) of segments that end before
-        samples `ends`: of a smooth torque, what its spline has over a straight line. None for the other holds.
+        samples `ends`: of a smooth torque, what its spline has over a straight line. None for holds without a curve.
 
         A straight line between samples of what curves is low by the square of the step: of a torque of 3 Hz on a grid
         of 100 Hz 0.3 %, and all inertias come out smaller by as much. The Gauss points stand for integral and first
         moment, here those of the cubic with the spline's slopes at both samples.
         """
-        if self.hold != "smooth":
+        curved = self.hold == "smooth" or ticks_of(self.hold) > 1
+        if not curved:
             return None
-        parts = []
+        parts, late = [], lag(self.hold) + self.late
         for part in np.split(u, ends[:-1]):
             d = spline_slopes(part).T
             d0, d1, rise = d[:, :-1], d[:, 1:], np.diff(part, axis=0).T
+            if late:
+                parts.append(np.stack([_bend(g - late, d0, d1, rise) for g in GAUSS], axis=1))
+                continue
             moment = MOMENT * (rise / 60.0 - (d0 + d1) / 120.0)
             parts.append(np.stack([(d0 - d1) / 12.0 - moment, (d0 - d1) / 12.0 + moment], axis=1))
         return np.concatenate(parts, axis=2)

@@ -36,6 +36,7 @@ from estimator.signals.segments import (
     paper_differences,
     split_signals,
     torque_column,
+    with_earlier_imu,
 )
 from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdowns
 
@@ -45,5 +46,5 @@ __all__ = [
     "angle_column", "by_run", "causal", "cut", "cut_steps", "differentiate", "encoder_level", "encoder_of",
     "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "is_plain", "lowpass", "paper_differences",
     "predicted_columns", "quantum", "sight", "split_signals", "tilt", "torque_column", "torque_of", "total",
-    "white_noise_level",
+    "white_noise_level", "with_earlier_imu",
 ]

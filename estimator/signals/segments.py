@@ -62,6 +62,15 @@ def cut(signals: SignalSet, where: slice) -> SignalSet:
                    spread=None if signals.spread is None else signals.spread[where])
 
 
+def with_earlier_imu(signals: SignalSet, age_s: float) -> SignalSet:
+    """A segment whose IMU's readings are of `age_s` [s] before their stamps: cubic splines, their ends held."""
+    from scipy.ndimage import shift
+
+    moved = {name: shift(values, -age_s * signals.rate_hz, order=3, mode="nearest")
+             for name, values in signals.imu.items()}
+    return replace(signals, imu=moved)
+
+
 def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], slice]]:
     """Name, segments and samples of each run; segments of a run follow each other, in time too."""
     found: list[tuple[str, list[SignalSet], slice]] = []

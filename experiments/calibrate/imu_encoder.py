@@ -43,11 +43,15 @@ def compare(runs: Sequence[Dataset], rig: Rig) -> EncoderFit:
             if column not in run:
                 raise InputError(run.name, f"has no column {column}", "give runs of a link whose angle q1_rad an "
                                  "encoder measures and whose IMU is recorded")
-    cutoff = rig.filter.cutoff_hz or min(DEAREST * rig.sampling.rate_hz, USUAL_HZ)
+    rates = {run.rate_hz for run in runs}
+    if len(rates) > 1:
+        raise InputError(runs[-1].name, "has another rate than other runs", "give one rate_hz under [sampling]")
+    (rate,) = rates
+    cutoff = rig.filter.cutoff_hz or min(DEAREST * rate, USUAL_HZ)
     segments = [Segment(run["q1_rad"][here], np.column_stack([run[c][here] for c in IMU]))
                  for run in runs for here in run.segments(COLUMNS)]
     skews = [skew.seconds for run in runs if (skew := measure_skew(run)) is not None]
-    return fit_imu(segments, rig.sampling.rate_hz, cutoff, rig.imus[0].lever_arm_m, rig.mechanism.gravity_mps2,
+    return fit_imu(segments, rate, cutoff, rig.imus[0].lever_arm_m, rig.mechanism.gravity_mps2,
                    float(np.median(skews)) if skews else 0.0)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from daq import Column, Dataset, Flag, FloatArray, InputError, comment, quoted, read_bytes
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column
-from daq.timing import TimedColumns, align_channels
+from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.expression import ANY, names_in, with_computed
 from experiments.exchange.imported import ImportedFile, Table, Wrong
 from experiments.exchange.units import factor
@@ -120,10 +120,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     channels, wrong = _channels(imported, whole, rate_hz)
     if not channels:
         raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
-    rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
-    if rate_hz is None:
-        rate_hz = float(f"{min(rates):.3g}")
-    run = align_channels(imported.name, channels, rate_hz)
+    run = align_channels(imported.name, channels, rate_hz or own_rate(channels))
     if len(run) < MIN_SAMPLES:
         raise InputError(imported.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")

@@ -88,12 +88,12 @@ def is_native(path: Path | str) -> bool:
 
 
 def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Dataset:
-    """A run on the grid of `rate_hz` (default: the rig's) from a file of any kind.
+    """A run on the grid of `rate_hz` (default: the rig's, else the file's own) from a file of any kind.
 
     Native runs and CSV by the contract are read as such; what `legid export` wrote comes back as it was; files of
     other programs go through the rig's `[columns]`. Raises `InputError`.
     """
-    rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
+    rate = rate_hz or rig.sampling.rate_hz
     csv = str(path).lower().endswith(SUFFIXES)
     if is_native(path) or (csv and not rig.columns):
         return _own(Path(path), rig, rate)
@@ -110,7 +110,7 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     return run
 
 
-def _own(path: Path, rig: Rig, rate_hz: float) -> Dataset:
+def _own(path: Path, rig: Rig, rate_hz: float | None) -> Dataset:
     """A run of legid's own two kinds."""
     if path.name.lower().endswith(SUFFIXES):
         return align_table(read_csv(path, rig), rate_hz)
@@ -157,4 +157,4 @@ def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: floa
     if not str(path).lower().endswith(SUFFIXES):
         return mapped(read_imported(path), {}, rate_hz)
     table = read_csv(path)
-    return align_table(table, rate_hz or 1.0 / float(np.median(np.diff(table.time_s))))
+    return align_table(table, rate_hz)

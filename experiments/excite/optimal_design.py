@@ -154,7 +154,7 @@ class Bench:
                              "give a model from a fit that determines it")
         self.limits: Limits = rig.limits
         self._levels = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}
-        self._noise_hz = rig.sampling.rate_hz
+        self._noise_hz = rig.sampling.planned_hz
         self._has_imu = model.mechanism.model == "leg2" and model.provenance.sensors == "imu"
         self.fine = self.prior(RATE_HZ)
         self.others = neighbours(self.fine, model_error)

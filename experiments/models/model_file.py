@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from daq import InputError, read_bytes
+from estimator.model import HOLDS
 from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import SCHEMA, Model
@@ -95,6 +96,8 @@ def _fault(model: Model) -> str:
     fault = effects_fault(model) or structure_fault(model)
     if fault:
         return fault
+    if model.hold not in HOLDS:
+        return f"`hold` is {model.hold!r}, none of {', '.join(HOLDS)}"
     count = len(names) + sum(len(e.sizes) + len(e.shapes) for e in model.effects)
     if len(model.covariance) != count or any(len(row) != count for row in model.covariance):
         return f"`covariance` is not {count} by {count}"

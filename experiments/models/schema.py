@@ -201,7 +201,7 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """None in models of earlier versions, and in those that no fit wrote."""
     noise: dict[str, float]
     """1 sigma by channel; accel_correlation between the accelerometer's axes where one was declared."""
-    hold: Literal["zero", "linear", "average", "smooth"]
+    hold: str
     """How a torque sample acts until the next."""
     effects: tuple[EffectValue, ...] = ()
     structure: StructureValues | None = None

@@ -135,7 +135,7 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         schema="legid.model/1", mechanism=settings, parameters=_parameters(settings, beta),
         covariance=tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in covariance),
         noise={name: float(level) for name, level in found.noise.items()},
-        hold=found.hold or setup.options.hold,  # type: ignore[arg-type]
+        hold=found.hold or setup.options.hold,
         effects=tuple(effect_value(effect, size) for effect, size in found.effects),
         structure=None if found.structure is None else structure_values(found.structure), gear_ratio=gear_ratio,
         reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),

@@ -112,7 +112,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
                        directions=tuple(tuple(map(float, row)) for row in part.directions))
             for part in result.budget.parts),
         noise={name: float(level) for name, level in result.noise.items()},
-        hold=result.hold if hold == "auto" else hold,  # type: ignore[arg-type]
+        hold=result.hold if hold == "auto" else hold,
         provenance=Provenance(runs=tuple(runs), method=result.method,
                               prior={one.name: (one.value, one.std) for one in result.prior},
                               sensors=result.sensors,  # type: ignore[arg-type]

@@ -189,8 +189,9 @@ def _rig_lines(raw: RawRun) -> list[str]:
 
 def _rig_line(rig: Rig) -> str:
     m = rig.mechanism
+    grid = "of the record" if rig.sampling.rate_hz is None else f"{rig.sampling.rate_hz:g} Hz"
     return (f"rig: {m.model}, actuated joints {', '.join(map(str, m.actuated)) or 'none'}, IMU at "
-            f"{rig.imus[0].lever_arm_m:g} m, grid {rig.sampling.rate_hz:g} Hz, torque hold {rig.sampling.hold}")
+            f"{rig.imus[0].lever_arm_m:g} m, grid {grid}, torque hold {rig.sampling.hold}")
 
 
 def _event(note: Note, start_ns: int) -> str:

@@ -71,9 +71,9 @@ def rig_toml(facts: RigFacts) -> str:
               *([] if facts.kind == "legid" else [
                   line("side", '"motor"', "motor | joint: where the drive's angle and torque are meant", "side"),
                   line("sign", "1", "-1: the drive counts backwards when the knee's angle grows", "sign")]), "",
-              "[sampling]", line("rate_hz", "100.0", "grid on which runs are aligned [Hz]"),
-              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), "",
-              *tolerance_table(line), ""]
+              "[sampling]", "# rate_hz = 100.0               # grid of all runs [Hz]; absent: the record's own rate",
+              line("hold", '"auto"', "torque between samples: zero | past | linear | average | smooth, or likeliest"),
+              "", *tolerance_table(line), ""]
     if not facts.records:
         more = "# A rig that records has [devices], [limits] and [calibration], too: docs/rig.md"
         return "\n".join([*parts, more, ""])

@@ -4,27 +4,46 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from daq import Dataset, InputError, Rig
+from daq.findings import Flag
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.session.inputs import driven
+
+SAME_RATE = 1.05
+"""Ratio of rates below which two clocks differ, not two settings."""
 
 
 def load_runs(paths: Sequence[Path | str], rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:
     """The runs of `paths` in their order, columns (n,) in SI units, on the grid of the rig's `[sampling] rate_hz`.
 
+    Without that, on one grid of the lowest rate of the files.
+
     Raises `InputError` for a file that cannot be read, and for a damaged one unless `damaged` ones are wanted, and
     `FitError` as `driven`.
     """
-    return tuple(driven(require_whole(_read(path, rig), damaged), rig)
-                 for path in progress(list(paths), "reading runs", unit="run"))
+    read = [_read(path, rig) for path in progress(list(paths), "reading runs", unit="run")]
+    slowest = min((data.rate_hz for data in read), default=0.0)
+    read = [data if data.rate_hz <= slowest else _averaged(path, rig, data, slowest)
+            for path, data in zip(paths, read, strict=True)]
+    return tuple(driven(require_whole(data, damaged), rig) for data in read)
 
 
-def _read(path: Path | str, rig: Rig) -> Dataset:
+def _averaged(path: Path | str, rig: Rig, own: Dataset, rate_hz: float) -> Dataset:
+    """The run on a slower grid than its `own`."""
+    text = f"is averaged from {own.rate_hz:g} to {rate_hz:g} samples a second, the lowest rate of these runs"
+    found = _read(path, rig, rate_hz)
+    if own.rate_hz < SAME_RATE * rate_hz:
+        return found
+    return replace(found, flags=(*(flag for flag in found.flags if flag.kind != "grid"), Flag("grid", text)))
+
+
+def _read(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Dataset:
     started = time.monotonic()
-    data = load_any_run(path, rig)
+    data = load_any_run(path, rig, rate_hz)
     detail(f"{path}: {len(data)} samples at {data.rate_hz:g} Hz, read in {time.monotonic() - started:.2f} s")
     return data
 

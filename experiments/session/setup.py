@@ -14,7 +14,8 @@ from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
-from estimator.model import Mechanism, body_values
+from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
+from estimator.options import AUTO
 from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
@@ -64,6 +65,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("the rig file", f"[prior] {name} is nothing that {settings.model} has",
                              f"it has {', '.join(mechanism.names)}{bodies}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
+    if options.hold == AUTO and rig.timing.control_period_s is not None and datasets:
+        options = replace(options, hold=hold_of(1.0 / (datasets[0].rate_hz * rig.timing.control_period_s)))
     if rig.distance_meter is not None and (rig.distance_meter.sigma_m or rig.distance_meter.sigma_per_m):
         sigmas = [d["q1_sigma_rad"] for d in datasets if "q1_sigma_rad" in d]
         if sigmas:
@@ -85,6 +88,14 @@ def stated_tolerances(rig: Rig, mechanism: Mechanism) -> dict[str, tuple[float, 
             raise InputError("the rig file", f"[tolerance] {key.replace('@', '.')} is no effect of this rig"
                              f"{did_you_mean(name, known)}", "legid effects lists them")
     return None if set(found) == {ONLY} else found
+
+
+def hold_of(ticks: float) -> str:
+    """Hold of a torque that a controller sets so many times from one sample to the next, and holds in between."""
+    if ticks < 1.5:
+        return HELD
+    nearest = min((hold for hold in HOLDS if ticks_of(hold) > 1), key=lambda hold: abs(ticks_of(hold) - ticks))
+    return "smooth" if ticks > 1.5 * ticks_of(nearest) else nearest
 
 
 def zeroed(setup: Setup, beta: NDArray[np.float64] | None = None) -> Setup:

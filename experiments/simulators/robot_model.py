@@ -42,7 +42,7 @@ def model_of_robot(links: Sequence[Link], settings: MechanismSettings, hold: str
     effects = _effects(links, terms)
     count = mechanism.p + sum(len(e.sizes) for e in effects)
     return Model(
-        schema="legid.model/1", mechanism=settings, noise={}, hold=hold, effects=effects,  # type: ignore[arg-type]
+        schema="legid.model/1", mechanism=settings, noise={}, hold=hold, effects=effects,
         parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit,
                                         value=known.get((p.term, p.at), 0.0)) for p in mechanism.parameters),
         covariance=((None,) * count,) * count, reach=((-REACH_RAD, REACH_RAD),) * mechanism.n,

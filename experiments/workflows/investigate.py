@@ -259,7 +259,7 @@ class Investigator:
         began = self.clock.spent_s
         contest = contest_of(bench, question, model, setup_of([], self.rig, model.provenance.sensors).options)
         with self.clock.limited():
-            made = separate(contest, widening_bands(SECONDS, 0.0, self.rig.sampling.rate_hz), self._search(),
+            made = separate(contest, widening_bands(SECONDS, 0.0, self.rig.sampling.planned_hz), self._search(),
                             lambda done, total: self.asked.progress("designing what separates", done / total))
         self.clock.design_s = self.clock.spent_s - began
         if not made.apart:

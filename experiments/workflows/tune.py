@@ -120,7 +120,7 @@ class _Bench:
     def __init__(self, paths: Sequence[Path | str], rig: Rig, sensors: str | None, damaged: bool,
                  fixed: Mapping[str, float] | None) -> None:
         self.paths, self.sensors, self.damaged, self.fixed = list(paths), sensors, damaged, fixed
-        self.grids: dict[float, tuple[Dataset, ...]] = {}
+        self.grids: dict[float | None, tuple[Dataset, ...]] = {}
         self.names: frozenset[str] | None = None
         prepared = prepare(self.runs(rig), rig, sensors=sensors, fixed=fixed, choose=True)
         self.aside, self.terms = prepared.set_aside, prepared.choices

@@ -143,7 +143,7 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
     per_minute = 100.0 * np.sqrt(seconds / 60.0) / truth
     stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
     actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
-    floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.rate_hz) / truth[-1]
+    floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.planned_hz) / truth[-1]
     angles = f"q1 {limits.q1_rad:g} rad, q2 {limits.q2_rad:g} rad"
     lines = [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, {angles}", "",
              _table("Standard error that the refits state, for one minute of experiment, per cent of the value",

@@ -166,7 +166,7 @@ def outcome(effect: str, tie: float, number: int) -> Outcome:
             return Outcome(first.verdict, found, size, score, None, None, seconds=time.perf_counter() - began)
         contest = contest_of(bench, question_in(diagnosis_document(first), "the diagnosis"), model, options)
         ends, ratios = [], []
-        bands = widening_bands(MORE_S, 0.0, rig.sampling.rate_hz)
+        bands = widening_bands(MORE_S, 0.0, rig.sampling.planned_hz)
         for k, one in enumerate((separate(contest, bands, search).best, design(bench, bands[0], search).best)):
             try:
                 last = diagnosed([*files, recorded(f"more{k}.mcap", one.plan, 50)], rig)[0]

@@ -156,7 +156,7 @@ def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
     bench, band, search = _prior(args, rig)
     model = load_model(args.model)
     contest = contest_of(bench, question, model, setup_of([], rig, model.provenance.sensors).options)
-    bands = [band] if args.high is not None else widening_bands(band.seconds, band.low_hz, rig.sampling.rate_hz)
+    bands = [band] if args.high is not None else widening_bands(band.seconds, band.low_hz, rig.sampling.planned_hz)
     with stages("designing") as show:
         found = separate(contest, bands, search,
                          lambda done, total: show(f"{done:.0f} of {total:.0f} plans", done / total))

@@ -199,10 +199,11 @@ def truth(run: Dataset, path: Path, start_ns: int) -> np.ndarray:
 
 def test_an_emulated_run_shows_the_motion_it_was_given(recorded: tuple[Path, MockRig, int]) -> None:
     path, _, start_ns = recorded
-    run = load_run(path, parse_rig(RIG))
+    run = load_run(path, parse_rig(RIG), 100.0)
     t = truth(run, path, start_ns)
     assert not run.gap().any()
     assert 700 < len(run) < 760
+    assert load_run(path, parse_rig(RIG)).rate_hz == pytest.approx(238.0, rel=0.03)  # the IMU's, by its own clock
     # allowed: noise after averaging, and a skew of 0.6 ms (link delay of 1 ms turns, physics in 0.5 ms steps)
     for column, want, noise in [
             ("q2_rad", B * np.sin(V * t), 4e-4), ("q1_rad", A * np.sin(W * t), 3e-3),

@@ -11,10 +11,12 @@ from scipy.interpolate import CubicSpline
 from daq import Dataset
 from estimator import FitOptions, fit
 from estimator.fitting import between_samples
-from estimator.model import Collocation, leg2
+from estimator.model import HOLDS, Collocation, lag, leg2
 from estimator.model.collocation import GAUSS, spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.stick_slip_leg import move, sample
+from tests.support.timed_leg import Timing
+from tests.support.timed_leg import record as record_timed
 
 
 def rubbing(seed: int, knee_nm: float, rate_hz: float = 100.0, closed: bool = True) -> tuple[Leg, Dataset]:
@@ -107,3 +109,38 @@ def test_slopes_are_those_of_scipy_s_spline() -> None:
     np.testing.assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
     line = np.arange(3.0)[:, None] * [[2.0, -1.0]]
     np.testing.assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
+
+
+@pytest.mark.parametrize(("timing", "hold"), [
+    (Timing(200), "zero"), (Timing(1000, 5), "zero/5"), (Timing(400, 2), "zero/2"),
+    (Timing(200, between="average"), "past"),
+    (Timing(200, delay_s=0.007, loop="pd"), "zero"), (Timing(100, delay_s=0.012), "zero"),
+    (Timing(200, delay_s=0.007, between="ramp"), "smooth")])
+def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
+    """Half a sample of a delay is the difference between two holds: alone, the hold took half a tick of a delay."""
+    rng = np.random.default_rng(11)
+    leg = random_leg(rng)
+    runs = [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
+    assert between_samples(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_every_hold_acts_as_late_as_it_says(hold: str) -> None:
+    """In the mean over an interval, of a ramp."""
+    u = np.arange(60.0)[:, None]
+    c = Collocation(leg2(), 0.01, hold)
+    torque = c.torque(np.hstack([u, u]), slice(30, 40))
+    curve = c.between(np.hstack([u, u]), np.array([60]))
+    mean = (torque if curve is None else torque + curve[:, :, 30:40])[0].mean(axis=0)
+    np.testing.assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
+
+
+@pytest.mark.parametrize("late", [0.2, 0.5, 1.0])
+def test_a_held_torque_steps_within_an_interval(late: float) -> None:
+    u = np.random.default_rng(3).normal(size=(20, 2))
+    values = Collocation(leg2(), 0.01, "zero", late).torque(u, slice(0, 19))[0]
+    fine = (np.arange(20000) + 0.5) / 20000
+    acting = np.where(fine[:, None] < late, u[:-1, 0], u[1:, 0])
+    np.testing.assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
+    moments = (GAUSS[0] - 0.5) * values[0] / 2 + (GAUSS[1] - 0.5) * values[1] / 2
+    np.testing.assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
