@@ -233,13 +233,37 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     servo: Servo | None = None
     prior: dict[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
     """Parameter, or body value (m1, lc1, I1, l1, ...) -> value and standard deviation, from CAD or a scale."""
+    tolerance: dict[str, bool | float | tuple[float, ...] | dict[str, float | tuple[float, ...]]] = msgspec.field(
+        default_factory=dict)
+    """Effect -> standard deviation of what it may be on this rig [SI], a list for several sizes, a table by joint for
+    single joints; `none = true`: what is not named has none."""
     columns: dict[str, Column] = msgspec.field(default_factory=dict)
     """Column of the contract -> where files of other programs hold it."""
+
+    @property
+    def tolerances(self) -> dict[str, tuple[float, ...]]:
+        """Effect, or effect@joint, to the tolerance of each size; `none` where only what is named has any."""
+        found: dict[str, tuple[float, ...]] = {}
+        for name, entry in self.tolerance.items():
+            if name == "none":
+                found |= {name: ()} if entry else {}
+            elif isinstance(entry, dict):
+                found |= {f"{name}@{joint}": _listed(own) for joint, own in entry.items()}
+            else:
+                found[name] = _listed(entry)
+        half = self.calibration.torque_constant_half_nm_per_a
+        if half is not None and "none" not in found:
+            found.setdefault("torque_gain", (half / 1.96 / self.calibration.torque_constant_nm_per_a,))
+        return found
 
     @property
     def imus(self) -> tuple[Imu, ...]:
         """In the file's order; one on link 1 where none is declared."""
         return self.imu if isinstance(self.imu, tuple) else (self.imu or Imu(),)
+
+
+def _listed(entry: float | tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(map(float, entry)) if isinstance(entry, tuple) else (float(entry),)
 
 
 def joint_count(mechanism: Mechanism) -> int:
@@ -341,6 +365,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to "
                          f"{NODES - 1}", "give the node that its firmware has")
     _check_prior(rig, where)
+    _check_tolerance(rig, where)
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig
@@ -352,6 +377,17 @@ def _check_prior(rig: Rig, where: str) -> None:
         if len(entry) != 2 or not all(map(math.isfinite, entry)) or not entry[1] > 0.0:
             raise InputError(where, f"prior.{name} is {list(entry)}", f"give its value and standard deviation, such as "
                              f"{name} = [1.04, 0.02]; a value that is exact goes into --fix {name}=VALUE")
+
+
+def _check_tolerance(rig: Rig, where: str) -> None:
+    """Numbers from zero up; `none` is true or false, and nothing else is."""
+    for name, entry in rig.tolerance.items():
+        if isinstance(entry, bool) != (name == "none"):
+            raise InputError(where, f"tolerance.{name} is {entry}", "give a standard deviation, such as "
+                             "imu_lever_arm = 0.001, or none = true")
+    for name, values in rig.tolerances.items():
+        if not all(map(math.isfinite, values)) or min(values, default=0.0) < 0.0:
+            raise InputError(where, f"tolerance.{name} is {list(values)}", "give standard deviations from zero up")
 
 
 def _check_levels(rig: Rig, where: str) -> None:

@@ -90,6 +90,11 @@ class FitOptions:
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Value and standard deviation of parameters and body values (m1, lc1, I1, l1, ...) that are known from elsewhere;
     `mle` on one motion then finds the maximum a posteriori."""
+    tolerances: Mapping[str, tuple[float, ...]] | None = None
+    """mle on one motion only: effect, or effect@joint, to the tolerance of each of its sizes, 1 sigma, SI. What is not
+    named has its default, or none where there is a key `none`. None: all are zero."""
+    gear_ratio: float = 1.0
+    """Of the motor."""
     seeks_omitted: bool = False
     """mle on one motion only: whether the fit looks for listed effects that would move its parameters."""
     latent: str = "trajectory"

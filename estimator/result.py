@@ -65,8 +65,7 @@ FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_no
                       "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
                       "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
                       "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
-                      "omitted_effect", "sensor_scale",
-                      "not_shown"]
+                      "omitted_effect", "budget", "sensor_scale", "not_shown"]
 
 
 @dataclass(frozen=True)
@@ -178,6 +177,45 @@ class PriorValue:
 
 
 @dataclass(frozen=True)
+class BudgetPart:
+    """Part of the covariance of the p parameters that one source of uncertainty adds."""
+
+    source: str
+    """noise, scatter (between runs), step (to the faults that the runs suggest), structure, torque_gain, or an effect's
+    key."""
+    directions: FloatArray
+    """(k, p) rows; the sum of their outer products is the part."""
+    tolerance: tuple[float, ...] = ()
+    """Of each size of an effect, 1 sigma, SI: as stated or by default, or as the runs have enlarged it."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) the part itself."""
+        return self.directions.T @ self.directions
+
+    @property
+    def std(self) -> FloatArray:
+        """(p,) standard deviations that it would make alone."""
+        return np.sqrt(np.sum(self.directions**2, axis=0))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Uncertainty budget (JCGM 100): the parts of a fit's covariance, and what the tolerances did to the estimate."""
+
+    parts: tuple[BudgetPart, ...]
+    """Their covariances add up to that of the fit."""
+    moved: FloatArray
+    """(p,) by how much the estimate was moved, half way to that with the likeliest faults within the tolerances"""
+    enlarged: Mapping[str, float] = field(default_factory=dict)
+    """Group of tolerances -> factor by which the runs have enlarged it."""
+
+    def part(self, source: str) -> BudgetPart | None:
+        """The part of this source; None where there is none."""
+        return next((one for one in self.parts if one.source == source), None)
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Two-fold cross-validation of both methods: each half of the data is predicted by fits to the other half."""
 
@@ -235,6 +273,8 @@ class FitResult:
     """Of a method that fails differently. None: not asked, or it came to no end."""
     omitted: tuple[OmittedEffect, ...] = ()
     """Asked for by `FitOptions.seeks_omitted`."""
+    budget: Budget | None = None
+    """Where the tolerances of the rig are not all zero; the covariance has them in it."""
     prior: tuple[PriorValue, ...] = ()
     prior_conflict: float = 0.0
     """Standard deviations, by known value, by which the runs are likelier without the prior."""
@@ -276,6 +316,15 @@ class FitResult:
         if self.agreement is None or not self.agreement.disagree:
             return TWO_SIDED * self.std
         return self.agreement.quantile * self.std
+
+    @property
+    def shown_half_width(self) -> FloatArray:
+        """(p,) the same without the scale of the torque, which no runs show and all estimates from them share."""
+        scale = None if self.budget is None else self.budget.part("torque_gain")
+        if scale is None:
+            return self.half_width
+        less = np.sqrt(np.maximum(np.diag(self.covariance) - scale.std**2, 0.0))
+        return self.half_width * less / np.maximum(self.std, 1e-300)
 
     @property
     def widening(self) -> FloatArray:

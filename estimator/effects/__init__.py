@@ -2,6 +2,7 @@
 
 from estimator.effects.backlash import Backlash
 from estimator.effects.base import (
+    WHEEL_M,
     Axis,
     BodyEffect,
     Effect,
@@ -31,6 +32,7 @@ from estimator.effects.torque_delay import TorqueDelay
 __all__ = [
     "ENTRY_POINT",
     "UNTESTABLE",
+    "WHEEL_M",
     "Axis",
     "Backlash",
     "BodyEffect",

@@ -14,9 +14,11 @@ class AsymmetricFriction(TorqueEffect):
     name = "asymmetric_friction"
     equivalence_class = CONSTANT
     distinguishing_size = 1
-    sizes = (Size("coulomb_difference", "N m", 0.01), Size("viscous_difference", "N m s/rad", 0.01))
+    sizes = (Size("coulomb_difference", "N m", 0.01, tolerance=0.003),
+             Size("viscous_difference", "N m s/rad", 0.01, tolerance=0.003))
     sentence = "friction differs between the two directions of motion"
     reference = "Janot, Gautier, Brunot 2019 (EMPS)"
+    tolerance_source = "a few thousandths of the torque: bearings and brushes of small geared motors"
     experiment = "constant speed in both directions at several speeds, with rests between"
     depends_on = "v"
     plans = ("steady",)

@@ -14,10 +14,11 @@ class Backlash(GearEffect):
 
     name = "backlash"
     positive = 1
-    sizes = (Size("gap", "rad", 0.002), *MOTOR)
+    sizes = (Size("gap", "rad", 0.002, tolerance=0.001), *MOTOR)
     shapes = (Shape("contact_torque", "N m", (0.06, 0.1, 0.2), below=16.0),)
     sentence = "the gear has play: the link lies at one or the other side of a gap"
     reference = "Nordin and Gutman 2002"
+    tolerance_source = "three arc minutes: play of a small planetary gear"
     experiment = "slow torque reversals across zero with the link held by gravity"
     depends_on = "u"
     plans = ("slow", "ramps")

@@ -42,6 +42,9 @@ class Size(NamedTuple):
     """A small size of the effect: the step of its derivative at zero."""
     prior: float = np.inf
     """Standard deviation of its wide prior: without it a size that a nominal parameter imitates diverges."""
+    tolerance: float = 0.0
+    """Standard deviation of the size on a rig that nobody has looked at, SI; where the unit has a torque, for a rig
+    whose torques reach 1 N m. Zero: the budget of a fit leaves it out."""
 
 
 class Shape(NamedTuple):
@@ -189,6 +192,8 @@ class Effect(ABC):
     sentence: ClassVar[str]
     """What it means, for a person."""
     reference: ClassVar[str]
+    tolerance_source: ClassVar[str] = ""
+    """Where the tolerances of its sizes come from."""
     experiment: ClassVar[str]
     """What run would show it best."""
     depends_on: ClassVar[Axis] = "q"

@@ -13,9 +13,11 @@ class EncoderEccentricity(EncoderEffect):
     """reading = q + a sin q + b (cos q - 1): once a turn of the measured angle."""
 
     name = "encoder_eccentricity"
-    sizes = (Size("sine_amplitude", "rad", 0.005), Size("cosine_amplitude", "rad", 0.005))
+    sizes = (Size("sine_amplitude", "rad", 0.005, tolerance=0.002),
+             Size("cosine_amplitude", "rad", 0.005, tolerance=0.002))
     sentence = "the encoder's disc is off centre: an error once a turn"
     reference = "eccentricity of a graduated disc: first harmonic of the angle measured"
+    tolerance_source = "a disc 0.05 mm off centre at a radius of 25 mm"
     experiment = "a full slow turn"
     plans = ("steady", "ramps")
 

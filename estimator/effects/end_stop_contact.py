@@ -13,13 +13,14 @@ class EndStopContact(TorqueEffect):
 
     name = "end_stop_contact"
     positive = 1
-    sizes = (Size("stiffness", "N m/rad", 0.5),)
+    sizes = (Size("stiffness", "N m/rad", 0.5, tolerance=0.005),)
     shapes = (Shape("angle_share", "1", (-0.9, -0.8, -0.65, 0.65, 0.8, 0.9), above=1.1, below=1.3),)
     strict = True
     """A stop that begins before half of the range is a hardening spring. One at its very end is never touched: there
     the smoothed law adds a constant torque."""
     sentence = "the joint touches a stop at the end of its range"
     reference = "Hunt and Crossley 1975 (linearised)"
+    tolerance_source = "cables and seals that tighten at the end of the range"
     experiment = "slow approach to both ends of the range"
     plans = ("ramps",)
     by_hand = "approach the stops by hand: a plan keeps away from them"

@@ -12,10 +12,12 @@ class FrictionDrift(TorqueEffect):
     """(C (1 - exp(-t / tau)) + D t_run) sign(v): the Coulomb level changes over the session and within each run."""
 
     name = "friction_drift"
-    sizes = (Size("change", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
+    sizes = (Size("change", "N m", 0.005, tolerance=0.005),
+             Size("change_per_minute_within_runs", "N m", 0.01, tolerance=0.005))
     shapes = (Shape("time_constant", "s", (30.0, 100.0, 300.0)),)
     sentence = "the friction level drifts with time (warming up, running in)"
     reference = "Simoni, Beschi, Legnani, Visioli 2015"
+    tolerance_source = "grease that warms up within minutes"
     experiment = "the same run repeated cold and warm, temperature recorded"
     depends_on = "session"
     plans = ()

@@ -12,8 +12,8 @@ from estimator.effects.base import LawEffect, Perturbation, Points, Size, View
 from estimator.model import Mechanism, smooth_sign
 from estimator.signals import Channel, encoder_of, torque_of
 
-MOTOR = (Size("motor_viscous", "N m s/rad", 0.005, 0.05), Size("motor_coulomb", "N m", 0.01, 0.1),
-         Size("motor_inertia", "kg m^2", 1e-4, 0.003))
+MOTOR = (Size("motor_viscous", "N m s/rad", 0.005, 0.05, 0.003), Size("motor_coulomb", "N m", 0.01, 0.1, 0.003),
+         Size("motor_inertia", "kg m^2", 1e-4, 0.003, 1e-4))
 
 
 class GearEffect(LawEffect):

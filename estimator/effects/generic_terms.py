@@ -59,10 +59,14 @@ READINGS: dict[str, Reading] = {
 }
 
 
+TOLERANCES = {"gyro": 0.003, "accel_x": 0.01, "accel_y": 0.01, "encoder": 2e-4}
+"""Kind of channel -> standard deviation of a generic term in it [SI]: about the noise of one sample."""
+
+
 class GenericTorque(TorqueEffect):
     """size * law(motion) on one joint."""
 
-    sizes = (Size("size", "N m", 0.01),)
+    sizes = (Size("size", "N m", 0.01, tolerance=0.0015),)
     sentence = reference = experiment = ""
 
     def __init__(self, joint: int, label: str, law: Law) -> None:
@@ -92,6 +96,7 @@ class GenericReading(Effect):
     def __init__(self, channel: Channel, label: str, law: Reading) -> None:
         super().__init__(None)
         self.channel, self.label, self._law = channel, label, law
+        self.sizes = (self.sizes[0]._replace(tolerance=TOLERANCES[channel.kind]),)  # type: ignore[misc]
 
     @property
     def key(self) -> str:

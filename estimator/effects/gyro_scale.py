@@ -12,9 +12,10 @@ class GyroScale(ImuEffect):
     """reading = (1 + s) q1d."""
 
     name = "gyro_scale"
-    sizes = (Size("scale_error", "1", 0.01),)
+    sizes = (Size("scale_error", "1", 0.01, tolerance=0.01),)
     sentence = "the gyro's scale is wrong"
     reference = "LSM9DS1 datasheet: sensitivity"
+    tolerance_source = "sensitivity of uncalibrated MEMS gyros, such as the LSM9DS1"
     experiment = "large swings between two known rests"
     depends_on = "v"
     plans = ("rest",)

@@ -12,9 +12,10 @@ class ImuLeverArm(ImuEffect):
     """The IMU sits d further from its link's joint than declared: on link 1 d q1dd, -d q1d^2."""
 
     name = "imu_lever_arm"
-    sizes = (Size("excess", "m", 0.002),)
+    sizes = (Size("excess", "m", 0.002, tolerance=0.002),)
     sentence = "the IMU's distance from the pivot is not the declared one"
     reference = "rigid-body acceleration at the IMU, docs/theory.md, The sensors"
+    tolerance_source = "a ruler, and the place of the sensor in its chip"
     experiment = "fast swings of the pivot"
     depends_on = "v"
     plans = ("fast", "swing")

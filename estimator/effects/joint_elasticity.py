@@ -14,9 +14,10 @@ class JointElasticity(GearEffect):
 
     name = "joint_elasticity"
     positive = 1
-    sizes = (Size("compliance", "rad/(N m)", 0.002), *MOTOR)
+    sizes = (Size("compliance", "rad/(N m)", 0.002, tolerance=0.001), *MOTOR)
     sentence = "the gear twists under torque: the encoder on the motor does not show the link's angle"
     reference = "Spong 1987, quasi-static: below the motor's resonance"
+    tolerance_source = "stiffness of small planetary gears, 1000 N m/rad"
     experiment = "a chirp up to the resonance; static torque steps against a blocked link"
     depends_on = "u"
     plans = ("fast",)

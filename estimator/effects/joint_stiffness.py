@@ -13,9 +13,10 @@ class JointStiffness(TorqueEffect):
     equivalence_class = CONSTANT
     distinguishing_size = 0
     positive = 1
-    sizes = (Size("stiffness", "N m/rad", 0.05), Size("preload", "N m", 0.01))
+    sizes = (Size("stiffness", "N m/rad", 0.05, tolerance=0.01), Size("preload", "N m", 0.01, tolerance=0.005))
     sentence = "a spring acts at the joint (cable, seal, hose)"
     reference = "linear spring"
+    tolerance_source = "cables and hoses along a joint"
     experiment = "static holds over the whole range of the joint"
     plans = ("ramps",)
 

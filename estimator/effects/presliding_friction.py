@@ -19,11 +19,12 @@ class PreslidingFriction(StateEffect):
     strict = True
     positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does
     defining = 1
-    sizes = (Size("level", "N m", 0.01), Size("bristle_damping", "N m s/rad", 0.005))
+    sizes = (Size("level", "N m", 0.01, tolerance=0.003), Size("bristle_damping", "N m s/rad", 0.005, tolerance=0.001))
     shapes = (Shape("displacement", "rad", (0.003, 0.01, 0.03, 0.1), below=1.0),)
     """Shorter is how a reversal falls between two samples."""
     sentence = "after a reversal friction builds up over a displacement, like a spring (presliding)"
     reference = "Dahl 1968; Canudas de Wit et al. 1995 (LuGre)"
+    tolerance_source = "a few thousandths of the torque"
     experiment = "micro-motions: sines of a few milliradians about several angles"
     depends_on = "v"
     plans = ("micro", "slow")

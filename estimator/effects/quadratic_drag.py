@@ -13,9 +13,10 @@ class QuadraticDrag(TorqueEffect):
 
     name = "quadratic_drag"
     positive = 1
-    sizes = (Size("drag", "N m s^2/rad^2", 0.001),)
+    sizes = (Size("drag", "N m s^2/rad^2", 0.001, tolerance=0.001),)
     sentence = "drag grows with the square of the speed"
     reference = "effects of air and churning; quadratic drag law"
+    tolerance_source = "air on links of a few decimetres"
     experiment = "a free swing from a large angle, or fast motion at two amplitudes"
     depends_on = "v"
     plans = ("swing",)

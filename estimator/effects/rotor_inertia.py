@@ -12,9 +12,10 @@ class RotorInertia(TorqueEffect):
 
     name = "rotor_inertia"
     positive = 1
-    sizes = (Size("inertia", "kg m^2", 0.001),)
+    sizes = (Size("inertia", "kg m^2", 0.001, tolerance=2e-4),)
     sentence = "the motor's rotor adds inertia at its joint (gear ratio squared)"
     reference = "Spong 1987"
+    tolerance_source = "rotor of a small motor behind a gear of ten"
     experiment = "fast motion of the joint with the other one at large and small speed"
     depends_on = "a"
     plans = ("fast",)

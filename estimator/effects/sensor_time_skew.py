@@ -12,9 +12,10 @@ class SensorTimeSkew(ImuEffect):
     """reading(t) = y(t - d) for every channel y of the IMU."""
 
     name = "sensor_time_skew"
-    sizes = (Size("skew", "s", 0.001),)
+    sizes = (Size("skew", "s", 0.001, tolerance=3e-4),)
     sentence = "the IMU is late against encoder and torque"
     reference = "docs/theory.md, Clocks; positive: the IMU is late"
+    tolerance_source = "clocks put together by messages on a USB or CAN bus"
     experiment = "fast reversals of the pivot; a tap seen by both"
     depends_on = "a"
     plans = ("fast",)

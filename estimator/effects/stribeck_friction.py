@@ -14,12 +14,13 @@ class StribeckFriction(TorqueEffect):
     name = "stribeck_friction"
     strict = True
     positive = 1
-    sizes = (Size("excess_torque", "N m", 0.01),)
+    sizes = (Size("excess_torque", "N m", 0.01, tolerance=0.005),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),
               Shape("exponent", "1", (0.5, 1.0, 2.0), discrete=True, default=2.0))
     """Slower than this grid is the smoothing of sign(v), faster is not near standstill."""
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
+    tolerance_source = "a few thousandths of the torque"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
     depends_on = "v"
     plans = ("slow", "steady")

@@ -18,9 +18,10 @@ class TorqueDelay(TorqueSensorEffect):
     """
 
     name = "torque_delay"
-    sizes = (Size("delay", "s", 0.001),)
+    sizes = (Size("delay", "s", 0.001, tolerance=5e-4),)
     sentence = "the torque acts earlier than it was measured (later where the delay is negative), beyond its hold"
     reference = "dead time of a current loop; positive: the measurement is late"
+    tolerance_source = "half a period of a current loop of 1 kHz"
     experiment = "motion at high frequency: phase grows with it"
     depends_on = "du"
     plans = ("fast",)

@@ -17,9 +17,10 @@ class TorqueOffset(TorqueSensorEffect):
     name = "torque_offset"
     per_motor = True
     equivalence_class = CONSTANT
-    sizes = (Size("offset", "N m", 0.01),)
+    sizes = (Size("offset", "N m", 0.01, tolerance=0.005),)
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "zero of the current shunt, [calibration] shunt_offset_a in README.md"
+    tolerance_source = "a shunt's zero, half a per cent of its range"
     experiment = "rest with the motor off"
     depends_on = "v"
     plans = ("rest",)

@@ -13,10 +13,12 @@ class TorqueRipple(TorqueEffect):
     """A sin(n phi) + B cos(n phi), phi the motor's angle: gear ratio times the joint's."""
 
     name = "torque_ripple"
-    sizes = (Size("sine_amplitude", "N m", 0.01), Size("cosine_amplitude", "N m", 0.01))
+    sizes = (Size("sine_amplitude", "N m", 0.01, tolerance=0.003),
+             Size("cosine_amplitude", "N m", 0.01, tolerance=0.003))
     shapes = (Shape("order", "1", (1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 12.0, 14.0), discrete=True),)
     sentence = "the motor's torque ripples with its angle (cogging, commutation)"
     reference = "whole orders of the motor's angle"
+    tolerance_source = "cogging of small brushless motors"
     experiment = "slow constant speed over several turns of the motor"
     depends_on = "turn"
     plans = ("steady",)

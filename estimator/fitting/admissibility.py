@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
@@ -17,7 +18,7 @@ from estimator.fitting.fit import fit
 from estimator.methods import Method
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.result import Finding, FitResult
+from estimator.result import TWO_SIDED, Finding, FitResult
 
 NOT_NEGATIVE = ("viscous", "coulomb", "rotor")
 """Terms whose parameters are levels."""
@@ -78,7 +79,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     """`fit` with levels that may not be negative held at zero where they come out so, and its findings.
 
     One level is held at a time, that of the most standard deviations below zero first. Its interval then reaches from
-    zero to where it reached before. Judged is by the noise alone: what runs disagree about excuses no set-up that is
+    zero to `upper_end`. Judged is by the noise alone: what runs disagree about excuses no set-up that is
     wrong. Raises `FitError` as `by` does.
     """
     result = by(datasets, mechanism, options, method)
@@ -86,7 +87,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     findings: list[Finding] = []
     while (k := _most_negative(result)) is not None:
         name, value, std = mechanism.names[k], float(result.beta[k]), float(result.own_std[k])
-        upper = max(value + float(result.half_width[k]), 0.0)
+        upper = upper_end(value, float(result.half_width[k]) / TWO_SIDED)
         low = f"{name} ({mechanism.parameters[k].meaning}) is {value:.2g} +- {std:.1g}, below its physical limit"
         if result.undetermined:  # a level in its place would pass for knowledge of the rest
             findings.append(Finding("warning", "level_at_zero", low))
@@ -111,6 +112,18 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
                  for text, motor in strange_lengths(mechanism, result.beta, closed) if motor and result.converged]
     return replace(result, fixed=fixed, at_bound=limits,
                    findings=(*findings, *(Finding("fault", "impossible", text) for text in impossible)))
+
+
+def upper_end(value: float, std: float) -> float:
+    """Upper end of the one-sided 95 % interval of a level that cannot be negative and came out at `value` +- `std`.
+
+    Of the normal likelihood of levels from zero up, that share lies below it: it is never zero.
+    """
+    below = -value / max(std, 1e-300)
+    above = 0.05 * ndtr(-below)
+    if above > 0.0:
+        return float(value - std * ndtri(above))
+    return std * float(-np.log(0.05)) / below  # far out the likelihood falls like exp(-below x / std)
 
 
 def _most_negative(result: FitResult) -> int | None:

@@ -24,9 +24,9 @@ STEP_S = 0.002
 """Of the search [s]: shorter than the width of its minimum, which is that of the motion."""
 EARLIEST_S, LATEST_S = -0.01, 0.03
 """Ages that are looked at [s]; a sensor that is later is no sensor of this motion."""
-NEAR, SHARP = 2, 1.0
+NEAR, SHARP = 2, 0.6
 """Steps from the minimum at which the cost must be higher by so much [log N m]: else something other than time makes
-the residual. (Measured: 1.3 to 2.8 higher with late IMUs and punctual ones, 0.3 where fast motion errs otherwise.)"""
+the residual. (Measured: 0.9 to 2.8 higher with late IMUs and punctual ones, 0.3 where fast motion errs otherwise.)"""
 EXCERPT = 4000
 """Most samples that are looked at, of each segment its first part."""
 

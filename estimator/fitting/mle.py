@@ -38,13 +38,14 @@ from estimator.fitting.omitted_effects import omitted_effects, small_effects, wi
 from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
+from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
-from estimator.score import agreement_of, score_runs
+from estimator.score import agreement_of, nuisance_candidates, nuisances_of, score_at, score_runs, total
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals, with_earlier_imu
 
 LEAST_AGE = (1e-3, 0.1)
@@ -95,7 +96,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
             result = _with_scores(result, problem, signals, state, free, skew, options)
-    known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
+    known = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
@@ -140,7 +141,8 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
     known, alone = (problem.motion_equations(s.x, s.beta, s.noise).objective + 2.0 * problem.log_volume(s.noise)
                     for s in both)
     fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
-    scatter = result.covariance.diagonal() / np.maximum(state.covariance.diagonal()[: result.mechanism.p], 1e-300)
+    own = state.covariance.diagonal()[: result.mechanism.p]
+    scatter = without_tolerances(result)[1].diagonal() / np.maximum(own, 1e-300)
     spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
@@ -272,17 +274,28 @@ def _like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequenc
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
                  free: NDArray[np.bool_], skew: float | None, options: FitOptions) -> FitResult:
-    """`result` with what its runs disagree about in its covariance and, where asked for, with the effects that it
-    lacks: both from one score of each run."""
+    """`result` with its budget, with what its runs disagree about in its covariance and, where asked for, with the
+    effects that it lacks: all from one score of each run."""
     if skew is not None:
         problem, free = _like(problem, signals, (SensorTimeSkew(),)), np.append(free, True)
         state = replace(state, beta=np.append(state.beta, skew))
-    candidates = small_effects(problem) if options.seeks_omitted else ()
-    scores = score_runs(signals, lambda own: with_candidates(problem, signals, own, state, candidates), problem, state)
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
-    covariance, agreement = agreement_of(scores.of(np.arange(free.size)), state.beta, result.covariance, free, known)
-    result = replace(result, covariance=covariance, agreement=agreement)
-    return replace(result, omitted=omitted_effects(result, scores, free, candidates))
+    small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()
+    every = small if options.tolerances is None else nuisance_candidates(problem, small, options.tolerances)
+
+    def of(own: list[SignalSet]) -> LatentProblem:
+        return with_candidates(problem, signals, own, state, every, options.gear_ratio)
+
+    scores = score_runs(signals, of, problem, state)
+    seen = scores.of(np.arange(free.size + sum(one.width for one in small)))
+    if options.tolerances is not None:
+        whole = total(scores.scores) if scores.scores else score_at(of(signals), state)
+        result, scores = with_tolerances(result, whole, scores, (free, known), nuisances_of(
+            every, problem, options.tolerances), options.tolerances)
+    covariance, agreement = agreement_of(scores.of(np.arange(free.size)), np.append(result.beta, state.beta[
+        result.beta.size :]), result.covariance, free, known)
+    result = with_scatter(replace(result, agreement=agreement), covariance)
+    return result if not options.seeks_omitted else replace(result, omitted=omitted_effects(result, seen, free, small))
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:
@@ -348,7 +361,8 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         f"all noise is {colour(state.noise)}, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
-        "the model's form is right: its errors count as torque noise")
+        "the model's form is right" + ("" if options.tolerances is None else " within the tolerances")
+        + ": its errors count as torque noise")
     riders = [f"IMU {k + 1} on link {place.link + 1}" for k, place in enumerate(mechanism.imus) if place.link]
     if problem.has_imu and riders:
         lengths = ", ".join(f"{length:g} m" for length in mechanism.link_lengths)

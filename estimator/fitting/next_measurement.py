@@ -1,7 +1,8 @@
-"""`next_measurement`: the one value that, measured or weighed, tells most about the parameters that a fit knows least.
+"""`next_measurement`: the one value that, measured, weighed or calibrated, tells most about the parameters of a fit.
 
 With the information H of a fit and the prior's P, knowing a candidate to `ACCURACY` makes P into P'. Named is the
-candidate whose covariance (H + P')^-1 shrinks the standard deviations of all others most, by their geometric mean.
+candidate whose covariance (H + P')^-1 shrinks the standard deviations of all others most, by their geometric mean. A
+source of the budget, calibrated to `CALIBRATED` of its tolerance, leaves the square of that of its part.
 """
 
 from __future__ import annotations
@@ -10,14 +11,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.effects import SensorEffect, classes
 from estimator.fitting.identifiability import plausible_sizes, uncertain_directions
 from estimator.fitting.prior import body_estimates, prior_at
 from estimator.model import has_bodies
 from estimator.numerics import pseudo_inverse
 from estimator.result import FitResult
+from estimator.score import TORQUE_GAIN
 
+CALIBRATED = 0.1
+"""Share of a tolerance that a calibration leaves."""
 ACCURACY = 0.01
 """Standard deviation of the measurement that is proposed, as a share of the value."""
 WORTH = 0.9
@@ -29,7 +35,7 @@ class Measurement:
     """A value to measure, and what it would do."""
 
     name: str
-    """Of a parameter or a body value."""
+    """Of a parameter, a body value, or a source of the budget."""
     value: float
     """As it is now."""
     std: float
@@ -38,6 +44,8 @@ class Measurement:
     """Other parameter -> width of its interval then, as a share of now."""
     undetermined: tuple[int, int]
     """Combinations that the runs leave open, now and then."""
+    source: bool = False
+    """Whether it is a source of the budget: `value` is then zero, and `std` what its tolerance would be."""
 
     @property
     def share(self) -> float:
@@ -59,12 +67,12 @@ def next_measurement(result: FitResult) -> Measurement | None:
         return None
     scale = plausible_sizes(m, result.beta, result.std)
     now = _open(result, scale)
+    found = _calibrations(result, now, scale, free)
     known = {one.name: (one.value, one.std) for one in result.prior}
     before = prior_at(m, known, result.beta).information
     values = {p.name: float(b) for p, b, one in zip(m.parameters, result.beta, free) if p.rigid and one}
     if has_bodies(m):
         values |= {name: value for name, value in body_estimates(m, known, result.beta).items() if name not in known}
-    found = []
     for name, value in values.items():
         std = ACCURACY * (scale[m.column(name)] if name in m.names else abs(value))
         if not std > 0.0:
@@ -81,6 +89,20 @@ def next_measurement(result: FitResult) -> Measurement | None:
     if best is None or (best.share > WORTH and best.undetermined[1] == best.undetermined[0]):
         return None
     return best
+
+
+def _calibrations(result: FitResult, now: FloatArray, scale: FloatArray, free: NDArray[np.bool_]
+                  ) -> list[Measurement]:
+    """One for each source of the budget that can be calibrated: the scale of the torque, and what sensors read."""
+    left, found = uncertain_directions(now, scale, free).shape[1], []
+    told = {TORQUE_GAIN, *(kind.name for kind in classes() if issubclass(kind, SensorEffect))}
+    for part in result.budget.parts if result.budget else ():
+        if part.tolerance and part.source.partition("@")[0] in told:
+            after = np.diag(now) - (1.0 - CALIBRATED**2) * part.std**2
+            ratio = np.sqrt(np.maximum(after, 0.0)[free] / np.maximum(np.diag(now)[free], 1e-300))
+            widths = dict(zip(np.array(result.mechanism.names)[free], map(float, np.clip(ratio, 1e-3, 1.0))))
+            found.append(Measurement(part.source, 0.0, CALIBRATED * part.tolerance[0], widths, (left, left), True))
+    return found
 
 
 def _open(result: FitResult, scale: FloatArray) -> FloatArray:

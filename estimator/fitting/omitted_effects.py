@@ -29,12 +29,12 @@ def small_effects(problem: LatentProblem) -> tuple[Candidate, ...]:
 
 
 def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: Sequence[SignalSet], state: State,
-                    candidates: Sequence[Candidate]) -> LatentProblem:
+                    candidates: Sequence[Candidate], gear_ratio: float = 1.0) -> LatentProblem:
     """The likelihood of `some` of the `signals` of `problem`, with scores of `candidates`."""
     names = list(dict.fromkeys(one.run for one in signals))
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     begin = tuple(float(one.time_s[0]) for one in some)
-    stage = Stage(tuple(names.index(one.run) for one in some), begin, begin, reach)
+    stage = Stage(tuple(names.index(one.run) for one in some), begin, begin, reach, gear_ratio)
     found = LatentProblem(some, problem.mechanism, problem.collocation.hold, stage, problem.effects, candidates)
     return found.with_disturbance() if problem.disturbed else found
 
@@ -68,7 +68,7 @@ def omitted_effects(result: FitResult, scores: RunScores, free: NDArray[np.bool_
 def _omitted(effect: Effect, p_value: float, change: FloatArray, result: FitResult, free: NDArray[np.intp]
              ) -> OmittedEffect:
     """With the parameter that it moves furthest."""
-    half = result.half_width[free]
+    half = result.shown_half_width[free]
     moved = np.where(half > 0.0, np.abs(change) / np.where(half > 0.0, half, 1.0), 0.0)
     k = int(np.argmax(moved))
     return OmittedEffect(effect.key, p_value, result.mechanism.names[free[k]], float(moved[k]))

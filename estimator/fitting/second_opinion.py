@@ -30,6 +30,7 @@ from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
+from estimator.fitting.tolerances import with_tolerances_of, without_tolerances
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -97,8 +98,9 @@ def _compared(result: FitResult, shot: Shot, free: NDArray[np.bool_]) -> SecondO
     mechanism = result.mechanism
     open_ = result.open_parameters | _named(undetermined(mechanism, shot.beta, shot.covariance, free))
     compared = free & np.array([name not in open_ for name in mechanism.names])
-    both = np.hypot(result.half_width, shot.half_width)
-    apart = np.where(compared, np.abs(result.beta - shot.beta) / np.maximum(both, 1e-300), np.nan)
+    both = np.hypot(result.shown_half_width, shot.half_width)
+    likeliest, _ = without_tolerances(result)  # shooting knows of no tolerances either
+    apart = np.where(compared, np.abs(likeliest - shot.beta) / np.maximum(both, 1e-300), np.nan)
     return SecondOpinion("shooting", shot.beta, shot.half_width, apart)
 
 
@@ -126,8 +128,9 @@ def _of_shooting(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     missing = undetermined(mechanism, shot.beta, shot.covariance, free)
     std = np.where([name in _named(missing) for name in mechanism.names], np.inf, np.sqrt(np.diag(shot.covariance)))
     q = np.concatenate([t.q for t in motion.trajectories])
+    covariance, budget = with_tolerances_of(result.budget, shot.spread)
     return replace(
-        motion, method="shooting", beta=shot.beta, covariance=shot.spread, iterations=shot.iterations,
+        motion, method="shooting", beta=shot.beta, covariance=covariance, budget=budget, iterations=shot.iterations,
         fixed=result.fixed, at_bound=result.at_bound, hold_margin=result.hold_margin, converged=True,
         wall_s=result.wall_s, undetermined=missing, agreement=None,
         findings=(*(one for one in result.findings if one.role != "fault"), *(Finding("fault", "impossible", text)

@@ -1,5 +1,18 @@
-"""Score and information of runs over parameters, effects and generic terms; projection, scatter, tests."""
+"""Score and information of runs over parameters, effects and generic terms; projection, scatter, tests; tolerances."""
 
+from estimator.score.enlargement import enlarged
+from estimator.score.marginal import Marginal, Projected, discounted, marginalise, projected
+from estimator.score.nuisances import (
+    ONLY,
+    STRUCTURE,
+    TORQUE_GAIN,
+    Nuisance,
+    default_tolerances,
+    nuisance_candidates,
+    nuisances_of,
+    tolerance_sources,
+    with_torque_gain,
+)
 from estimator.score.run_scatter import agreement_of, robust_covariance, student_quantile
 from estimator.score.run_scores import RunScores, score_runs
 from estimator.score.score import HIDDEN, Score, columns_of, score_alone, score_at, total
@@ -15,7 +28,9 @@ from estimator.score.score_tests import (
 )
 
 __all__ = [
-    "ALPHA", "HIDDEN", "NO_TESTS", "RUNS", "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of",
-    "determined", "least_sigmas", "own_inflation", "project", "robust_covariance", "score_alone", "score_at",
-    "score_runs", "student_quantile", "total",
+    "ALPHA", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance", "Projected",
+    "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of", "default_tolerances", "determined",
+    "discounted", "enlarged", "least_sigmas", "marginalise", "nuisance_candidates", "nuisances_of", "own_inflation",
+    "project", "projected", "robust_covariance", "score_alone", "score_at", "score_runs", "student_quantile",
+    "tolerance_sources", "total", "with_torque_gain",
 ]

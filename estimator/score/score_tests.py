@@ -149,6 +149,15 @@ def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple
     return np.maximum(inflation, 1.0), float(RUNS + runs - 1)
 
 
+def scatter_of(scores: FloatArray, own: FloatArray) -> FloatArray:
+    """(c,) variance of scores (R, c) between R runs over that of white noise, with information `own` (R, c): the larger
+    of a column's own and that shrunk to the median of all, and at least one."""
+    own = np.maximum(own, 1e-100)
+    share = own / own.sum(axis=0)
+    variance = np.sum((scores - share * scores.sum(axis=0)) ** 2 / own, axis=0) / (len(scores) - 1)
+    return np.maximum(_inflation(scores, own)[0], variance)
+
+
 NO_TESTS = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0), np.zeros((0, 0)))
 """Tests of nothing."""
 

@@ -21,8 +21,10 @@ from .schema import ImuSettings as ImuSettings
 from .schema import MechanismSettings as MechanismSettings
 from .schema import Model as Model
 from .schema import ParameterValue as ParameterValue
+from .schema import PartValues as PartValues
 from .schema import Provenance as Provenance
 from .schema import TorqueTable as TorqueTable
+from .schema import TrustValues as TrustValues
 from .structure import range_note as range_note
 from .structure import range_note_of as range_note_of
 from .structure import structure_values as structure_values

@@ -103,6 +103,9 @@ def _fault(model: Model) -> str:
         return f"`covariance` is not {count} by {count}"
     if model.ci95 and len(model.ci95) != len(names):
         return f"`ci95` has not one interval for each of {len(names)} parameters"
+    if any(len(row) != len(names) or not all(map(math.isfinite, row)) for part in model.budget
+           for row in part.directions):
+        return f"`budget` has a direction that is not {len(names)} finite numbers"
     levels = dict(model.noise)
     if not abs(levels.pop("accel_correlation", 0.0)) < 1.0:
         return "`noise` holds an accel_correlation that is not between -1 and 1"

@@ -147,6 +147,25 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Channel to the same of its free-run error, each run predicted by the others."""
 
 
+class PartValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Part of the covariance of the parameters that one source of uncertainty adds."""
+
+    source: str
+    """noise, scatter, structure, torque_gain, or an effect with its joint, such as joint_stiffness@2."""
+    tolerance: tuple[NonNegative, ...] = ()
+    """Of each size of an effect, 1 sigma, SI."""
+    directions: tuple[tuple[float, ...], ...]
+    """Rows in the order of `parameters`; the sum of their outer products is the part."""
+
+
+class TrustValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Whether the parameters can be trusted, as the fit said."""
+
+    level: Literal["good", "caution", "bad"]
+    sentence: str
+    reasons: tuple[str, ...] = ()
+
+
 class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Origin of the numbers."""
 
@@ -176,6 +195,10 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ci95: tuple[tuple[float, float] | None, ...] = ()
     """95 % intervals of `parameters`, null where not determined: wider than the covariance alone where runs disagreed.
     Empty where they are by it, and in models of earlier versions."""
+    budget: tuple[PartValues, ...] = ()
+    """Parts of the parameters' covariance; empty without tolerances, and in models of earlier versions."""
+    trust: TrustValues | None = None
+    """None in models of earlier versions, and in those that no fit wrote."""
     noise: dict[str, float]
     """1 sigma by channel; accel_correlation between the accelerometer's axes where one was declared."""
     hold: str

@@ -17,6 +17,7 @@ from estimator.effects import Effect, placed
 from estimator.likelihood import FreeRun, Latents, Noise, State, free_run
 from estimator.model import Mechanism, simulate
 from estimator.prediction import FittedModel
+from estimator.score import TORQUE_GAIN
 from estimator.signals import SignalSet, imu_columns
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
@@ -99,11 +100,23 @@ def widening_of(model: Model) -> list[float]:
     return out
 
 
+def shown_covariance(model: Model) -> FloatArray:
+    """(m, m) covariance without the scale of the torque, which no run shows and which all models of a rig share."""
+    covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance], dtype=float)
+    for part in model.budget:
+        if part.source == TORQUE_GAIN:
+            rows = np.array(part.directions)
+            covariance[: rows.shape[1], : rows.shape[1]] -= rows.T @ rows
+    return covariance
+
+
 def fitted_model_of(model: Model) -> FittedModel:
-    """The model of a file, its covariance widened to its intervals."""
+    """The model of a file, its covariance widened to its intervals.
+
+    It is without the scale of the torque, which the torque of every run shares with the parameters.
+    """
     mechanism, wide = build_mechanism(model.mechanism), np.array(widening_of(model))
-    pairs = effects_of(model)
-    covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance])
+    pairs, covariance = effects_of(model), shown_covariance(model)
     return FittedModel(mechanism, model.hold, np.concatenate([np.array(model.beta), *[size for _, size in pairs]]),
                        (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * covariance,
                        angle_range=np.array(model.reach, dtype=float) if pairs else None, gear_ratio=model.gear_ratio)

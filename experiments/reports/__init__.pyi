@@ -106,6 +106,7 @@ from .trust import Trust as Trust
 from .trust import fit_trust as fit_trust
 from .trust import model_contradictions as model_contradictions
 from .trust import validation_trust as validation_trust
+from .trust import with_fit_trust as with_fit_trust
 from .validation_page import validation_document as validation_document
 from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows

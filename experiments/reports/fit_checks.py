@@ -5,6 +5,8 @@ The thresholds stand here and in docs/trust.md, which says what they were held a
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator import Finding, FitResult
@@ -24,6 +26,10 @@ REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 LEAST_P = 1e-9
 """A smaller probability is printed as this one."""
+HELD = ("sensor_residual", "repeating_torque", "omitted_effect")
+"""Kinds of findings that intervals with a budget hold, where the runs enlarge no tolerance by more than ..."""
+ALLOWED = 4.0
+"""... this factor."""
 PRECISE = 0.1
 """Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
 
@@ -56,11 +62,19 @@ def _findings(result: FitResult) -> list[Finding]:
         found += _sensor_findings(result)
         found += _repeating_torques(result)
         found += _omitted(result)
+    if within_budget(result):
+        found = [replace(one, role="fact") if one.kind in HELD else one for one in found]
     found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
+    found += _unknown(result)
     if result.undetermined:
         found.append(Finding("doubt", "undetermined",
                              f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
     return found
+
+
+def within_budget(result: FitResult) -> bool:
+    """Whether the runs show nothing that the tolerances, or a few times these, do not hold."""
+    return result.budget is not None and max(result.budget.enlarged.values(), default=1.0) <= ALLOWED
 
 
 def _facts(result: FitResult) -> list[Finding]:
@@ -144,6 +158,14 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
     return found
 
 
+def _unknown(result: FitResult) -> list[Finding]:
+    """Inertias and gravity terms that the budget leaves wholly unknown."""
+    wide = [p.name for p, value, half in zip(result.mechanism.parameters, result.beta, result.half_width)
+            if p.rigid and half > abs(value) and p.name not in {*result.fixed, *result.at_bound}]
+    return [] if result.budget is None or not set(wide) - result.open_parameters else [
+        Finding("doubt", "budget", f"the interval of {', '.join(wide)} is wider than the value")]
+
+
 def _omitted(result: FitResult) -> list[Finding]:
     """The most significant listed effect that the residuals look like and that would move a parameter far."""
     if not result.omitted:
@@ -172,7 +194,7 @@ def _disputes(result: FitResult) -> str:
 
 def _loose(result: FitResult) -> list[str]:
     found = []
-    for p, value, half in zip(result.mechanism.parameters, result.beta, result.half_width):
+    for p, value, half in zip(result.mechanism.parameters, result.beta, result.shown_half_width):
         share = half / abs(value) if value else np.inf
         if p.name not in result.open_parameters and p.name not in result.fixed and share > PRECISE:
             found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if np.isfinite(share) else p.name)

@@ -12,8 +12,17 @@ import numpy as np
 from daq import WorkError
 from estimator import FitResult
 from estimator.fitting import next_measurement
-from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, fitted_settings
+from experiments.models import (
+    MechanismSettings,
+    Model,
+    ParameterValue,
+    PartValues,
+    Provenance,
+    TrustValues,
+    fitted_settings,
+)
 from experiments.provenance import program_version
+from experiments.reports.budget import budget_document
 from experiments.reports.fit_checks import check_fit
 from experiments.reports.residual_tests import residual_tests
 from experiments.reports.run_agreement import agreement_document
@@ -45,6 +54,8 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
                    "fitted_std": one.fitted_std, "contradiction": one.contradiction} for one in result.prior],
         "prior_conflict": result.prior_conflict,
         "measure_next": None if (advice := next_measurement(result)) is None else advice.document,
+        "budget": budget_document(result),
+        "tolerances_enlarged": {} if result.budget is None else dict(result.budget.enlarged),
         "noise": noise_document(result.noise),
         "noise_by_run": _by_run(result),
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
@@ -108,6 +119,11 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
         parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
                          for p, value in zip(result.mechanism.parameters, result.beta)),
         covariance=covariance, ci95=_intervals(result),
+        trust=TrustValues(level=(trust := fit_trust(result)).level, sentence=trust.sentence, reasons=trust.reasons),
+        budget=() if result.budget is None else tuple(
+            PartValues(source=part.source, tolerance=part.tolerance,
+                       directions=tuple(tuple(map(float, row)) for row in part.directions))
+            for part in result.budget.parts),
         noise={name: float(level) for name, level in result.noise.items()},
         hold=result.hold if hold == "auto" else hold,
         provenance=Provenance(runs=tuple(runs), method=result.method,

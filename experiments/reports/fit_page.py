@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
+from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
@@ -62,8 +63,9 @@ def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[
     The parameters stand open, the rest is folded; the torque of the last joint with a motor leads the page.
     """
     return [_parameters(result), *fold([
-        *knowledge_section(result), *agreement_section(result), *opinion_section(result), *_sensors_section(result),
-        *_torques(result, benchmark), *_residuals(result), _noise(result), _limits(result)])]
+        *budget_section(result), *knowledge_section(result), *agreement_section(result), *opinion_section(result),
+        *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(result),
+        _limits(result)])]
 
 
 def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Mapping[str, float]) -> Section:

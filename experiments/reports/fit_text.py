@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator import FitResult
 from experiments.console import text_table
+from experiments.reports.budget import budget_lines
 from experiments.reports.friction_form import friction_lines
 from experiments.reports.numbers import number
 from experiments.reports.prior_knowledge import HEADER as PRIOR_HEADER
@@ -108,6 +109,7 @@ def fit_text(result: FitResult, model: str) -> str:
         lines.append(VOLTS)
     if result.prior:
         lines += ["", text_table(PRIOR_HEADER, prior_rows(result), right={1, 2, 3, 4}), ""]
+    lines += budget_lines(result)
     lines += friction_lines(result)
     lines += agreement_lines(result)
     lines += opinion_lines(result)

@@ -15,7 +15,8 @@ import numpy as np
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
-from experiments.models import MechanismSettings
+from experiments.models import MechanismSettings, TrustValues
+from experiments.reports.budget import precision
 from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
 from experiments.reports.run_agreement import units
@@ -29,7 +30,8 @@ IN_SHORT: dict[str, str] = {
     "passive_joint": "a passive joint has a torque residual", "sensor_residual": "a sensor residual is autocorrelated",
     "sensor_scale": "a sensor's scale is wrong", "repeating_torque": "an unmeasured torque repeats",
     "omitted_effect": "the residuals look like an effect that the model lacks", "prior": "the runs contradict [prior]",
-    "undetermined": "these runs do not determine all parameters", "rig_contradiction": "the rig file contradicts a run"}
+    "budget": "the budget is wider than a value", "undetermined": "these runs do not determine all parameters",
+    "rig_contradiction": "the rig file contradicts a run"}
 """Kind of a suspect result -> its words in the first line; its own line has the figures."""
 
 
@@ -49,7 +51,7 @@ class Trust:
     def verdict(self, warnings: Sequence[str] = ()) -> VerdictBox:
         """For the head of a page."""
         title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
-        lines = [f"{rest[:1].upper()}{rest[1:]}"] if rest else []
+        lines = [_line(rest).removesuffix(".")] if rest else []
         return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
 
 
@@ -77,9 +79,10 @@ def fit_trust(result: FitResult) -> Trust:
             "Good for torque feedforward within the fitted motion." if min(torque) >= GOOD_FIT else
             "Good for rough torque feedforward only." if min(torque) >= ROUGH_FIT else
             "Not good for torque feedforward either.",)
-        return Trust("caution", f"DO NOT TRUST the parameters: {_in_short(suspect)}.", (*reasons, *use, *facts))
+        return Trust("bad", f"DO NOT TRUST the parameters: {_in_short(suspect)}.", (*reasons, *use, *facts))
+    known = f": {told}" if (told := precision(result)) else ""
     if tested and not result.mechanism.actuated:
-        return Trust("caution", "TRUST the ratios of the parameters within their intervals: no torque was measured.",
+        return Trust("good", "TRUST the ratios of the parameters within their intervals: no torque was measured.",
                      (f"Their scale is that of {', '.join(result.fixed)}, which was given.", *facts))
     if not tested or not torque:
         return Trust("caution", f"NOT TESTED: the filters of {result.method} colour its residual, which cannot test "
@@ -88,11 +91,11 @@ def fit_trust(result: FitResult) -> Trust:
         return Trust("caution", "TRUST WITH CARE: much of the torque counts as noise, so the intervals may be too "
                      "narrow.", facts)
     if min(torque) < GOOD_FIT:
-        return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.", facts)
+        return Trust("good", f"TRUST the parameters within their intervals; the model's torque is rough{known}.", facts)
     if disputes:
-        return Trust("caution", f"TRUST the parameters within their intervals, which are wide because {units(result)} "
-                     "disagree, and the model's torque.", facts)
-    return Trust("good", "TRUST the parameters within their intervals, and the model's torque.", facts)
+        return Trust("good", f"TRUST the parameters within their intervals, which are wide because {units(result)} "
+                     f"disagree, and the model's torque{known}.", facts)
+    return Trust("good", f"TRUST the parameters within their intervals, and the model's torque{known}.", facts)
 
 
 def _of_faults(faults: Sequence[Finding]) -> Trust:
@@ -149,6 +152,14 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
     if suspect and level == "good":
         return Trust("caution", f"TRUST WITH CARE: {'; '.join(suspect)}. {sentence}")
     return Trust(level, sentence, tuple(f"{text[:1].upper()}{text[1:]}." for text in suspect))
+
+
+def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
+    """`trust` in a model's free runs, after what the fit said of its parameters where that was not to trust them."""
+    if of_fit is None or of_fit.level != "bad":
+        return trust
+    return Trust("bad", f"{of_fit.sentence.partition(':')[0]}, as their fit said. Free runs: {trust.sentence}",
+                 (f"The fit: {of_fit.sentence}", *trust.reasons))
 
 
 def _for_what(whole: float, where: str, short: float, where_short: str, seconds: float) -> tuple[Level, str]:

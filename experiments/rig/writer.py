@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq import ASSUMED, JOINTS, InputError, parse_rig, quoted, write_file
+from experiments.rig.tolerances import tolerance_table
 
 Line = Callable[..., str]
 
@@ -72,7 +73,7 @@ def rig_toml(facts: RigFacts) -> str:
                   line("sign", "1", "-1: the drive counts backwards when the knee's angle grows", "sign")]), "",
               "[sampling]", "# rate_hz = 100.0               # grid of all runs [Hz]; absent: the record's own rate",
               line("hold", '"auto"', "torque between samples: zero | past | linear | average | smooth, or likeliest"),
-              ""]
+              "", *tolerance_table(line), ""]
     if not facts.records:
         more = "# A rig that records has [devices], [limits] and [calibration], too: docs/rig.md"
         return "\n".join([*parts, more, ""])

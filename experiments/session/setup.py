@@ -9,12 +9,13 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from daq import Dataset, Disturbance, InputError, Rig, joint_count
+from daq import Dataset, Disturbance, InputError, Rig, did_you_mean, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
 from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
+from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
 FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
@@ -32,6 +33,8 @@ class Setup:
     """What was done to the runs, in sentences."""
     gear_ratio: float = 1.0
     """Of the motor."""
+    tolerances: Mapping[str, tuple[float, ...]] | None = None
+    """Of `FitOptions`, for a fit that has a budget."""
 
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
@@ -69,7 +72,21 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
     notes = (*[FREE_SWING] * free_swing, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
-    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), beta)
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio,
+                        stated_tolerances(rig, mechanism)), beta)
+
+
+def stated_tolerances(rig: Rig, mechanism: Mechanism) -> dict[str, tuple[float, ...]] | None:
+    """Those of the rig file; None where all are zero. Raises `InputError` for a name that no effect has."""
+    found = dict(rig.tolerances)
+    known = (*default_tolerances(), STRUCTURE, ONLY) if set(found) - {TORQUE_GAIN, ONLY} else (TORQUE_GAIN, ONLY)
+    joints = {str(j + 1) for j in range(mechanism.n)}
+    for key in found:
+        name, _, joint = key.partition("@")
+        if name not in known or (joint and joint not in joints):
+            raise InputError("the rig file", f"[tolerance] {key.replace('@', '.')} is no effect of this rig"
+                             f"{did_you_mean(name, known)}", "legid effects lists them")
+    return None if set(found) == {ONLY} else found
 
 
 def hold_of(ticks: float) -> str:

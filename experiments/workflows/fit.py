@@ -14,6 +14,7 @@ from estimator import Finding, FitError, FitResult, Method
 from estimator.fitting import fit_admissible, with_second_opinion
 from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered
+from estimator.score import TORQUE_GAIN
 from estimator.signals import split_signals
 from experiments.reports import fit_document
 from experiments.session import (
@@ -91,6 +92,8 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
     if gainless and name not in setup.mechanism.names:
         raise InputError("--fix", f"{rig.mechanism.model} has no parameter {name}",
                          f"it has {', '.join(setup.mechanism.names)}")
+    if gainless and setup.tolerances is not None:  # the parameter that is given tells the scale
+        setup = replace(setup, tolerances={**setup.tolerances, TORQUE_GAIN: (0.0,)})
     result, wrong = _checked(setup, method)
     if choose and method == "mle" and latent == "trajectory" and rig.noise.encoder_rad is None and result.converged:
         found = encoder_error(setup, result)
@@ -114,7 +117,8 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
 def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Finding, ...]]:
     """A fit, and what its set-up contradicts. Raises `FitError`, naming the remedies."""
     try:
-        result = fit_admissible(setup.datasets, setup.mechanism, replace(setup.options, seeks_omitted=True), method)
+        options = replace(setup.options, seeks_omitted=True, tolerances=setup.tolerances, gear_ratio=setup.gear_ratio)
+        result = fit_admissible(setup.datasets, setup.mechanism, options, method)
     except FitError as error:
         fixes = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies
         raise FitError("; ".join([str(error), *["; or ".join(fixes)] * bool(fixes)])) from None
@@ -202,7 +206,8 @@ def encoder_error(setup: Setup, result: FitResult
 
 def _score(setup: Setup, result: FitResult) -> float:
     """Log of the error of a fit's free runs over a second from filtered motion, over that of the last velocity kept."""
-    model = FittedModel(result.mechanism, result.hold, result.beta)
+    likeliest = result.beta - (0.0 if result.budget is None else result.budget.moved)
+    model = FittedModel(result.mechanism, result.hold, likeliest)
     signals = split_signals(setup.datasets, result.mechanism, setup.options)
     return predict_filtered([model], signals, setup.options, SHORT_S).score(SHORT_S)
 

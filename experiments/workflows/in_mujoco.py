@@ -12,7 +12,7 @@ from daq import FloatArray
 from estimator.prediction import PredictedRun, SmoothedRun, smooth, tabulate
 from experiments.console import progress
 from experiments.models import Model, fitted_model_of
-from experiments.reports import validation_trust
+from experiments.reports import validation_trust, with_fit_trust
 from experiments.session import Prepared
 from experiments.simulators import SIMULATORS, ExportedLeg, Piece, Record, Start, reduced, rows_of
 from experiments.workflows.validate import ValidationReport, predict_setup
@@ -33,7 +33,8 @@ def validate_in_mujoco(model: Model, report: ValidationReport, where: str) -> Va
         runs.append(_rerun(leg, run, smoothed, session_s))
         session_s += smoothed.problem.total * smoothed.problem.dt
     table = tabulate(runs, report.table.smoother)
-    return replace(report, table=table, trust=validation_trust(table, report.seen, report.told))
+    trust = with_fit_trust(validation_trust(table, report.seen, report.told), model.trust)
+    return replace(report, table=table, trust=trust)
 
 
 def compared_text(own: ValidationReport, other: ValidationReport) -> str:

@@ -36,10 +36,13 @@ def scaled(result: FitResult, name: str, value: float) -> tuple[FitResult, float
         agreement = replace(agreement, own_std=std * narrower, mean=gain * agreement.mean,
                             scatter=gain * agreement.scatter, by_run=gain * agreement.by_run,
                             seen=agreement.seen & (np.arange(agreement.seen.size) != k))
-    own = result.run_noise
+    own, budget = result.run_noise, result.budget
+    if budget is not None:
+        budget = replace(budget, moved=slope @ budget.moved, parts=tuple(
+            replace(part, directions=part.directions @ slope.T) for part in budget.parts))
     return replace(
         result, beta=gain * result.beta, covariance=covariance, noise=torques(dict(result.noise)),
-        torque_residual_rms=gain * result.torque_residual_rms, fixed={name: value}, agreement=agreement,
+        torque_residual_rms=gain * result.torque_residual_rms, fixed={name: value}, agreement=agreement, budget=budget,
         at_bound={held: gain * upper for held, upper in result.at_bound.items()},
         run_noise=own and RunNoise(own.runs, {channel: levels * (gain if channel.endswith("_nm") else 1.0)
                                               for channel, levels in own.levels.items()}),

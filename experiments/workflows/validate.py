@@ -30,6 +30,7 @@ from experiments.reports import (
     validation_document,
     validation_trust,
     walk_document,
+    with_fit_trust,
 )
 from experiments.session import Prepared, Setup, contradictions, require_sound
 
@@ -70,7 +71,8 @@ def validate_prepared(model: Model, prepared: Prepared, where: str, files: Seque
     setup, seen = prepared.setup, seen_in_fit(model, files)
     table, steps, notes, smoothed = validate_model(model, setup, where, against, horizons_s, bands)
     told = (*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes)
-    return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, told), smoothed, told)
+    trust = with_fit_trust(validation_trust(table, seen, told), model.trust)
+    return ValidationReport(prepared, table, steps, seen, trust, smoothed, told)
 
 
 class Validated(NamedTuple):

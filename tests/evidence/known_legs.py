@@ -63,15 +63,15 @@ def _servo(plant: servo.Plant, rng: np.random.Generator, folder: Path) -> KnownL
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
     runs = (servo.record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
     servo.write_case("leg", 0, folder, runs, rng, leg, geared.RIG, [], dry)
-    return _read(folder / "leg-0", _truth(replace(leg, coulomb=(0.1 * dry, dry)).beta()))
+    return read_leg(folder / "leg-0", truth_of(replace(leg, coulomb=(0.1 * dry, dry)).beta()))
 
 
 def geared_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
     leg, dry, runs = geared.record([geared.MAKERS[hidden](rng.uniform(0.85, 1.15))] * RUNS, rng)
     moved = list(runs)
-    truth = _truth(leg.beta() + _lumped(moved, geared.ROTOR))
+    truth = truth_of(leg.beta() + _lumped(moved, geared.ROTOR))
     servo.write_case("leg", 0, folder, moved, rng, leg, geared.RIG, [], dry)
-    return _read(folder / "leg-0", {name: truth[name] for name in NAMES if name not in FRICTION})
+    return read_leg(folder / "leg-0", {name: truth[name] for name in NAMES if name not in FRICTION})
 
 
 def _lumped(runs: Sequence[Mapping[str, np.ndarray]], rotor: float) -> np.ndarray:
@@ -90,7 +90,7 @@ def _lumped(runs: Sequence[Mapping[str, np.ndarray]], rotor: float) -> np.ndarra
 def stickslip_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
     leg, dry, runs = stickslip.record([stickslip.MAKERS[hidden][0](rng.uniform(0.85, 1.15))] * RUNS, rng)
     servo.write_case("leg", 0, folder, runs, rng, leg, "", [], dry)
-    return _read(folder / "leg-0", _truth(leg.beta()))
+    return read_leg(folder / "leg-0", truth_of(leg.beta()))
 
 
 def bench_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
@@ -98,7 +98,7 @@ def bench_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
     case = Case(kind, () if hidden == HEALTHY else (hidden,), seed=int(rng.integers(2**31)))
     bench.generate([case], folder, with_ratio=False)
     truth = json.loads((folder / f"{case.name}.truth.json").read_text(encoding="utf-8"))
-    return _read(folder / case.name, truth["parameters"])
+    return read_leg(folder / case.name, truth["parameters"])
 
 
 def wandering_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
@@ -106,7 +106,7 @@ def wandering_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownL
     level, constant_s = SHUNT_NM * rng.uniform(*WANDER), float(rng.choice(TIME_CONSTANTS_S))
     runs = [disturbed_record(leg, rng, level, constant_s, f"run{k}") for k in range(RUNS)]
     (folder / "rig.toml").write_text(_rig_of(leg), encoding="utf-8")
-    return KnownLeg(runs, load_rig(folder / "rig.toml"), _truth(leg.beta()))
+    return KnownLeg(runs, load_rig(folder / "rig.toml"), truth_of(leg.beta()))
 
 
 def emulated_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLeg:
@@ -116,18 +116,18 @@ def emulated_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLe
     for k, file in enumerate(files):
         record_emulated(file, rig, text, random_multisine(number + k, EMULATED_S, EMULATED_NM), number + k, body,
                         EFFECTS.get(hidden, NOTHING))
-    return KnownLeg(as_datasets(files, rig, False), rig, _truth(body.beta()))
+    return KnownLeg(as_datasets(files, rig, False), rig, truth_of(body.beta()))
 
 
 def _rig_of(leg: Leg) -> str:
     return f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n'
 
 
-def _truth(beta: Sequence[float] | np.ndarray) -> dict[str, float]:
+def truth_of(beta: Sequence[float] | np.ndarray) -> dict[str, float]:
     return dict(zip(NAMES, map(float, beta), strict=True))
 
 
-def _read(folder: Path, truth: Mapping[str, float]) -> KnownLeg:
+def read_leg(folder: Path, truth: Mapping[str, float]) -> KnownLeg:
     rig = load_rig(folder / "rig.toml")
     return KnownLeg(as_datasets([folder / f"r{k}.csv" for k in range(1, RUNS + 1)], rig, False), rig, truth)
 

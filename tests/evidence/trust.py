@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import structs
 
 import legid
 from daq import Dataset, InputError, Rig, WorkError, load_rig
@@ -23,7 +24,8 @@ from experiments.studies import machine
 from experiments.studies.casebook import RIGS, load_cases
 from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
-from tests.evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, hidden_at, make
+from tests.evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, hidden_at, make
+from tests.evidence.lab_legs import lab_leg
 from tests.evidence.machine_records import MACHINES, Machine
 from tests.evidence.machines import typed, unpack
 from tests.evidence.page_file import within, write_page
@@ -31,6 +33,12 @@ from tests.evidence.registry import Evidence
 from tests.support.paths import REAL
 
 SEED = 6200
+LAB = "tolerances"
+"""Family whose faults are drawn from the default tolerances, the scale of the torque among them."""
+EVERY_FAMILY = {**FAMILIES, LAB: Family("MuJoCo under a position servo, every fault drawn from its tolerance", (),
+                                        lab_leg)}
+WRONG = (0.5, 2.0)
+"""Faults over the tolerances, in the table of tolerances that are wrong."""
 SLOW, EVERY = "emulated", 4
 """A family whose legs take a minute each: one of its turns in so many."""
 RIGID = NAMES[:5]
@@ -48,6 +56,8 @@ class Outcome(NamedTuple):
     """First line, or the error of a fit that gives no values."""
     errors: Mapping[str, tuple[float, bool]]
     """Parameter -> error over standard deviation, and whether the 95 % interval has the truth."""
+    half_widths: Sequence[float] = ()
+    """Halves of the intervals of inertias and gravity terms, over the true values."""
 
     @property
     def trusted(self) -> bool:
@@ -61,7 +71,9 @@ def outcome(source: str, hidden: str, runs: Sequence[Dataset], rig: Rig, truth: 
         found = legid.fit(runs, rig, fixed=fixed).document
     except (FitError, InputError, WorkError) as error:
         return Outcome(source, hidden, len(runs), str(error), {})
-    return Outcome(source, hidden, len(runs), found["trust"]["sentence"], errors_of(found, truth))
+    halves = [0.5 * (p["ci95"][1] - p["ci95"][0]) / abs(truth[p["name"]]) for p in found["parameters"]
+              if p["name"] in RIGID and truth.get(p["name"]) and p["ci95"][0] is not None]
+    return Outcome(source, hidden, len(runs), found["trust"]["sentence"], errors_of(found, truth), halves)
 
 
 def errors_of(found: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str, tuple[float, bool]]:
@@ -79,10 +91,22 @@ def errors_of(found: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str,
 @kept
 def leg(family: str, turn: int, seed: int) -> tuple[Outcome, ...]:
     """The leg of this turn, fitted from its first run and from all."""
-    hidden = hidden_at(family, turn)
+    hidden = HEALTHY if family == LAB else hidden_at(family, turn)
     with tempfile.TemporaryDirectory() as place:
-        known = make(family, turn, seed, Path(place))
+        if family == LAB:
+            known = lab_leg(hidden, np.random.default_rng([seed, turn]), Path(place))
+        else:
+            known = make(family, turn, seed, Path(place))
+            known = known._replace(rig=structs.replace(known.rig, tolerance={"torque_gain": 0.0}))
     return tuple(outcome(family, hidden, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+
+
+@kept
+def wrong(times: float, turn: int, seed: int) -> tuple[Outcome, ...]:
+    """A leg whose faults are drawn from `times` the tolerances."""
+    with tempfile.TemporaryDirectory() as place:
+        known = lab_leg(HEALTHY, np.random.default_rng([seed, turn, 1]), Path(place), times)
+    return tuple(outcome(f"{times:g}", HEALTHY, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
 
 
 @kept
@@ -116,7 +140,7 @@ def public(one: Machine, snapshot: Path) -> Outcome:
 def cases(turns: int) -> Iterator[tuple[str, int]]:
     """(family, turn), turn by turn."""
     for turn in range(turns):
-        yield from ((family, turn) for family in FAMILIES if family != SLOW or turn % EVERY in (0, 1))
+        yield from ((family, turn) for family in EVERY_FAMILY if family != SLOW or turn % EVERY in (0, 1))
 
 
 def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]:
@@ -126,23 +150,30 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
         rows += leg(family, turn, seed)
         for one in rows[-2:]:
             print(turn, *one[:4], len(one.errors), sum(held for _, held in one.errors.values()), sep=" | ", flush=True)
+    beyond = {times: list[Outcome]() for times in WRONG}
+    for times, turn in within(minutes * len(WRONG) / 10.0, [(times, turn) for turn in range(turns) for times in WRONG]):
+        beyond[times] += wrong(times, turn, seed)
     if REAL.is_dir():
         real += [one for number in range(len(load_cases())) for one in record(number)]
     if snapshots:
         real += [public(one, Path(snapshots) / one.repository.split("/")[1]) for one in MACHINES]
     families = [(name, kind, [one for one in rows if one.source == name and (one.hidden == HEALTHY) == healthy])
-                for name in FAMILIES for kind, healthy in KINDS]
+                for name in EVERY_FAMILY for kind, healthy in KINDS]
     yield from [
         "# Is TRUST right?", "",
         f"Made by `make trust MINUTES={minutes:g}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         "Legs of seven families with known parameters. Every second leg has one hidden effect of the family's ordinary "
-        f"strength. Each leg is fitted from its first run and from all {RUNS}, as `legid fit RUNS --rig RIG` does.", "",
-        *(f"- {name}: {family.legs}" for name, family in FAMILIES.items()), "",
+        f"strength. Each leg is fitted from its first run and from all {RUNS}, as `legid fit RUNS --rig RIG` does. The "
+        "torque of these legs has the right scale, and their rig files say so; all other tolerances are the defaults. "
+        "An eighth family has all faults at once, drawn from the default tolerances, that of the torque's scale too.",
+        "",
+        *(f"- {name}: {family.legs}" for name, family in EVERY_FAMILY.items()), "",
         "A fit is trusted if its first line begins with `TRUST the`. `TRUST WITH CARE` and `DO NOT TRUST` count as "
         "others. A share counts parameters; the intervals by Wilson take them as independent, which those of one fit "
         "are not. Distances are errors in standard deviations of the fit: median, 95th percentile. Friction counts "
         "only where the leg has the nominal model's law. The rotor of a geared leg is lumped into the parameters whose "
-        "torque is nearest. Parameters at a bound and fits without values do not count.", "",
+        "torque is nearest. Parameters at a bound and fits without values do not count. Half widths are medians over "
+        "inertias and gravity terms.", "",
         f"{len(rows) // 2} legs were measured.", "",
         HEAD, RULE, *(_line(f"{name}, {kind}", some) for name, kind, some in families if some),
         *(_line(f"in all, {kind}", [one for one in rows if (one.hidden == HEALTHY) == healthy])
@@ -154,6 +185,8 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
         *(f"| {kind} | {_within(some, RIGID)} | {_within(some, NAMES[5:])} |" for kind, some in (
             ("no effect", [one for one in rows if one.trusted and one.hidden == HEALTHY]),
             ("hidden effect", [one for one in rows if one.trusted and one.hidden != HEALTHY]))), "",
+        "Faults drawn from half and from twice the tolerances that the rig file says:", "", HEAD, RULE,
+        *(_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items() if some), "",
         "Trusted fits that miss inertias or gravity terms:", "",
         "| family | hidden | runs | within | largest distance |", "| --- | --- | ---: | ---: | ---: |",
         *_misses(rows)]
@@ -170,15 +203,21 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
 
 
 KINDS = (("no effect", True), ("hidden effect", False))
-HEAD = ("| legs | fits | trusted | trusted: within | others: within | trusted: distance | others: distance |")
-RULE = "| --- | ---: | --- | --- | --- | --- | --- |"
+HEAD = ("| legs | fits | trusted | trusted: within | others: within | trusted: distance | others: distance | trusted: "
+        "half width | others: half width |")
+RULE = "| --- | ---: | --- | --- | --- | --- | --- | ---: | ---: |"
 
 
 def _line(name: str, rows: Sequence[Outcome]) -> str:
     """A row of the table of rates."""
     groups = [one for one in rows if one.trusted], [one for one in rows if not one.trusted]
     return (f"| {name} | {len(rows)} | {Rate(len(groups[0]), len(rows))} | {' | '.join(map(_within, groups))} | "
-            f"{' | '.join(map(_distance, groups))} |")
+            f"{' | '.join(map(_distance, groups))} | {' | '.join(map(_half_width, groups))} |")
+
+
+def _half_width(rows: Sequence[Outcome]) -> str:
+    halves = [half for one in rows for half in one.half_widths]
+    return f"{100 * np.median(halves):.2g} %" if halves else "-"
 
 
 def _within(rows: Sequence[Outcome], names: Sequence[str] = NAMES) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from estimator import Method
-from estimator.fitting.admissibility import faults, fit_admissible
+from estimator.fitting.admissibility import faults, fit_admissible, upper_end
 from estimator.fitting.fit import fit
 from estimator.fitting.identifiability import undetermined
 from estimator.model.mechanism import joint1, leg2
@@ -36,7 +36,7 @@ def test_friction_that_pushes_is_held_at_zero_and_said_so(method: Method) -> Non
 
 
 def test_a_level_that_is_zero_keeps_an_interval_that_holds_it() -> None:
-    """Half of such fits come out below zero: their interval reaches from zero to where it reached before."""
+    """Half of such fits come out below zero: their interval reaches from zero up."""
     run = swing_run(viscous=0.0, coulomb=0.0)
     free = fit([run], joint1(), ENCODER)
     held = fit_admissible([run], joint1(), ENCODER)
@@ -46,11 +46,23 @@ def test_a_level_that_is_zero_keeps_an_interval_that_holds_it() -> None:
         low, high = held.ci95()[k]
         assert low == 0.0 and high < 0.02
     first = min(below, key=lambda k: free.beta[k] / free.std[k])  # the others are held in fits that are not known here
-    assert held.ci95()[first, 1] == pytest.approx(free.ci95()[first, 1]) and free.ci95()[first, 1] > 0.0
+    assert held.ci95()[first, 1] == pytest.approx(upper_end(float(free.beta[first]), float(free.std[first])))
     assert not any("not scatter" in text for text in held.warnings)
     good = swing_run(viscous=0.05, coulomb=0.1)
     plain, same = fit([good], joint1(), ENCODER), fit_admissible([good], joint1(), ENCODER)
     assert np.array_equal(plain.beta, same.beta) and not same.at_bound and not same.warnings
+
+
+def test_the_interval_of_a_level_below_zero_holds_what_it_says_and_is_never_nothing() -> None:
+    """Of levels drawn evenly that give such an estimate, 95 % lie below the end; so far out that no normal probability
+    is left, too."""
+    rng = np.random.default_rng(3)
+    for value in (-0.5, -2.0):
+        truth = rng.uniform(0.0, 6.0, 2_000_000)
+        seen = truth[np.abs(truth + rng.normal(size=truth.size) - value) < 0.05]
+        assert np.mean(seen < upper_end(value, 1.0)) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.05 * 0.95 / seen.size))
+    ends = [upper_end(-far, 1.0) for far in (1.0, 5.0, 30.0, 36.0, 40.0, 300.0)]
+    assert ends == sorted(ends, reverse=True) and ends[-1] > 0.0
 
 
 def test_what_no_masses_can_do_is_named() -> None:

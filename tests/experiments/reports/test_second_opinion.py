@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.methods import ResultMethod
-from estimator.result import FitResult, HeldOut, SecondOpinion
+from estimator.result import FitResult, HeldOut, OmittedEffect, SecondOpinion
 from experiments.models.schema import MechanismSettings
 from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_page import fit_sections
@@ -43,7 +43,7 @@ def test_estimators_that_agree_take_a_line_and_no_warning() -> None:
     (HeldOut(-0.5, (-0.7, -0.3), 40), "shooting's error on held-out seconds is 50 % higher [30, 70]")])
 def test_the_first_line_says_that_mle_is_contradicted(held_out: HeldOut | None, told: str) -> None:
     trust = fit_trust(with_opinion(4.5, held_out))
-    assert trust.level == "caution"
+    assert trust.level == "bad"
     assert trust.sentence == "DO NOT TRUST the parameters: two estimators disagree."
     assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
     assert "4.5 half widths apart" in trust.reasons[0] and told in trust.reasons[0]
@@ -57,6 +57,14 @@ def test_the_first_line_says_that_shooting_is_reported() -> None:
     assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
     assert "by maximum likelihood, 36.0 half widths apart" in trust.reasons[0]
     assert trust.reasons[0].endswith("shooting is reported, its error on held-out seconds is 60 % lower [40, 70].")
+
+
+def test_a_reported_second_opinion_cancels_no_failed_check() -> None:
+    """The page of a leg once said TRUST WITH CARE over a parameter that was 84 % off."""
+    found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
+    trust = fit_trust(replace(found, omitted=(OmittedEffect("gyro_scale", 1e-20, "beta1", 5.8),)))
+    assert trust.level == "bad" and trust.sentence == (
+        "DO NOT TRUST the parameters: two estimators disagree, the residuals look like an effect that the model lacks.")
 
 
 def test_json_and_page_have_both_estimates() -> None:

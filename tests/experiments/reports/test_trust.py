@@ -65,7 +65,8 @@ def fits(folder: Path) -> dict[str, str]:
 
 
 def test_a_hidden_spring_is_suspected_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
-    assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
+    assert re.match(r"TRUST the parameters within their intervals, and the model's torque: beta1 is known to \d+ % "
+                    r"\(torque constant 9\.8 %, .*\)\. Calibrate the torque constant first\.$", fits["none"])
     assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual is autocorrelated")
 
 
@@ -225,7 +226,7 @@ def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[
         "q1_rad", "q2_rad", "gyro_radps"}
     beta1 = document["parameters"][0]
     std = np.hypot(beta1["a"]["std"], beta1["b"]["std"])
-    assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 4
+    assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 3
     assert "Coulomb friction, knee" in page.read_text() and "error of B" in page.read_text()
 
 

@@ -20,7 +20,7 @@ from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_leg import follow
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
-RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
+RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,115 @@
+"""A fit with what may be wrong with its rig: the moved estimate, its wider covariance, and the budget of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.result import Budget, BudgetPart, FitResult
+from estimator.score import (
+    STRUCTURE,
+    Marginal,
+    Nuisance,
+    RunScores,
+    Score,
+    discounted,
+    enlarged,
+    marginalise,
+    projected,
+    with_torque_gain,
+)
+
+NOISE, SCATTER, STEP = "noise", "scatter", "step"
+
+
+def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
+                    known: tuple[NDArray[np.bool_], FloatArray | None], nuisances: Sequence[Nuisance],
+                    stated: Mapping[str, tuple[float, ...]]) -> tuple[FitResult, RunScores]:
+    """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
+
+    `whole` and each of `scores` are over m parameters, of which `known` has the estimated ones (m,) and the information
+    of a prior, and the columns of `nuisances`. The step to the likeliest nuisances is right where the noise is as the
+    model says, and wrong where it is not. The estimate is half way, with a rectangular distribution between both ends
+    (JCGM 100, 4.3.7). Tolerances that the runs contradict are wider in the covariance and not in the step: what is
+    wrong then may not be what they are of.
+    """
+    free, prior = known
+    used = np.flatnonzero([one.tolerance > 0.0 for one in nuisances])
+    columns = np.concatenate([np.arange(free.size), free.size + used])
+    full, *runs = (with_torque_gain(one.of(columns), result.beta, result.mechanism, stated)
+                   for one in (whole, *scores.scores))
+    every = [*(nuisances[int(k)] for k in used), *full.nuisances]
+    if not every or not np.isfinite(result.covariance).all():
+        return result, scores
+    plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
+    wide, factors = enlarged(plain, every)
+    marginal, likeliest = marginalise(robust, wide), marginalise(robust, every)
+    step = np.zeros(full.score.score.size)
+    step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
+    p = len(result.beta)
+    inside = np.flatnonzero(free[:p])
+    noise = result.covariance.copy()
+    noise[np.ix_(inside, inside)] += marginal.noise[: inside.size, : inside.size]
+    parts = [BudgetPart(NOISE, _root(noise)), *_parts(marginal, wide, p, inside),
+             BudgetPart(STEP, step[None, :p] / np.sqrt(3.0))]
+    budget = Budget(tuple(part for part in parts if part.directions.any()), step[:p], factors)
+    moved = tuple(Score(one.score.score - one.score.information @ step, one.score.information) for one in runs)
+    return (replace(result, beta=result.beta + step[:p], budget=budget,
+                    covariance=noise + np.sum([part.covariance for part in parts[1:]], axis=0)),
+            scores._replace(scores=moved))
+
+
+def with_scatter(result: FitResult, covariance: FloatArray) -> FitResult:
+    """`result` with the `covariance` (p, p) that has in it what runs disagree about; its budget as well."""
+    budget = result.budget
+    if budget is not None and covariance is not result.covariance:
+        part = BudgetPart(SCATTER, _root(covariance - result.covariance))
+        budget = replace(budget, parts=(budget.parts[0], part, *budget.parts[1:]))
+    return replace(result, covariance=covariance, budget=budget)
+
+
+def with_tolerances_of(budget: Budget | None, covariance: FloatArray) -> tuple[FloatArray, Budget | None]:
+    """`covariance` (p, p) of another estimate from the same runs with what tolerances add to the `budget` of the first,
+    and the budget of both."""
+    if budget is None:
+        return covariance, None
+    parts = tuple(part for part in budget.parts if part.source not in (NOISE, SCATTER, STEP))
+    whole = covariance + np.sum([part.covariance for part in parts], axis=0)
+    return whole, Budget((BudgetPart(NOISE, _root(covariance)), *parts), np.zeros(len(covariance)), budget.enlarged)
+
+
+def without_tolerances(result: FitResult) -> tuple[FloatArray, FloatArray]:
+    """(p,) estimate and (p, p) covariance by what the runs show themselves: noise and scatter between runs."""
+    if result.budget is None:
+        return result.beta, result.covariance
+    found: FloatArray = np.sum([part.covariance for part in result.budget.parts if part.source in (NOISE, SCATTER)],
+                               axis=0)
+    return result.beta - result.budget.moved, found
+
+
+def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: NDArray[np.intp]) -> list[BudgetPart]:
+    """One for each source, the largest first."""
+    rows = np.zeros((len(nuisances), p))
+    rows[:, inside] = marginal.directions[:, : inside.size]
+    by_source: dict[str, list[int]] = {}
+    for k, one in enumerate(nuisances):
+        if one.tolerance > 0.0:
+            by_source.setdefault(one.source, []).append(k)
+    found = []
+    for source, which in by_source.items():
+        own = rows[which]
+        sizes = {} if source == STRUCTURE else {nuisances[k].size: nuisances[k].tolerance for k in which}
+        found.append(BudgetPart(source, own if len(own) <= p else _root(own.T @ own), tuple(sizes.values())))
+    return found
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """(k, p) rows whose outer products add up to the positive part of a covariance (p, p)."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    some = values > 1e-12 * max(float(values[-1]), 1e-300)
+    return np.asarray((vectors[:, some] * np.sqrt(values[some])).T * scale)

@@ -1,0 +1,177 @@
+"""`nuisances_of`: what may be wrong with a rig, column by column, and by how much.
+
+A tolerance is the standard deviation of a size before any run. The rig file states it, or the effect has a default.
+Defaults of sizes whose unit has a torque are for a rig whose torques reach 1 N m, and are scaled by those of the runs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects import (
+    WHEEL_M,
+    Effect,
+    EncoderEffect,
+    GearEffect,
+    GenericReading,
+    GenericTorque,
+    ImuEffect,
+    LawEffect,
+    Size,
+    battery,
+    classes,
+    library,
+)
+from estimator.likelihood import Candidate, LatentProblem
+from estimator.model import Mechanism
+from estimator.score.score import Score
+
+TORQUE_GAIN, GAIN = "torque_gain", 0.05
+"""The scale of the measured torque, and its default tolerance."""
+GAIN_SOURCE = "a torque constant by its data sheet, +-10 %; legid calibrate shunt --weight shows it"
+STRUCTURE = "structure"
+"""Source of all generic terms together."""
+ONLY = "none"
+"""Key of stated tolerances: what is not stated has none."""
+SHAPES = 3
+"""Most points of an effect's grid of shapes: what lies between two is nearly in their span."""
+REACHED = 0.99
+"""Quantile of the measured torque's size that counts as its reach."""
+POWERS_OF_U = {"u": 1, "u^2": 2}
+"""Generic term -> power of the motor's torque that it is: its tolerance is for a torque that reaches one."""
+Stated = Mapping[str, Sequence[float]]
+"""Effect, or effect@joint, to the tolerance of each size."""
+
+
+class Nuisance(NamedTuple):
+    """One column: a size of something that may be wrong."""
+
+    source: str
+    """The effect's key, or STRUCTURE."""
+    group: str
+    """Of what is enlarged together."""
+    tolerance: float
+    size: int = 0
+    """Which of its sizes."""
+
+
+def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated: Stated) -> tuple[Candidate, ...]:
+    """Every effect of the library with a tolerance, those of `own` first, then generic terms."""
+    m, encoders = problem.mechanism, [int(j) for j in np.flatnonzero(problem.has_encoder)]
+    taken = {one.effect.key for one in own} | {effect.key for effect in problem.effects}
+    listed = [effect for effect in library(m, problem.has_imu, encoders)[0] if effect.key not in taken]
+    found = [Candidate(effect, shape) for effect in listed if any(_stated(effect, stated))
+             for shape in _thinned(effect)]
+    generic = [] if ONLY in stated and STRUCTURE not in stated else battery(m, problem.has_imu, encoders)
+    return (*own, *found, *map(Candidate, generic))
+
+
+def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated: Stated) -> list[Nuisance]:
+    """One for each column of `candidates`."""
+    reach = torque_reach(problem)
+    return [Nuisance(*_place(one.effect), tolerance, k) for one in candidates
+            for k, tolerance in enumerate(_tolerances(one.effect, stated, reach, problem.mechanism.length_unit == "m"))]
+
+
+class WithGain(NamedTuple):
+    """A score with the column of the torque's scale, and its nuisance; without either where there is none."""
+
+    score: Score
+    nuisances: tuple[Nuisance, ...] = ()
+
+
+def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, stated: Stated) -> WithGain:
+    """`score` with a last column for the scale of all torques, which moves the parameters beta (p,) in proportion.
+
+    tau_measured = (1 + g) tau, so that the parameters that the runs show are (1 + g) beta. None is added without a
+    motor, or where the input is a voltage.
+    """
+    tolerance = float(next(iter(stated.get(TORQUE_GAIN, () if ONLY in stated else (GAIN,))), 0.0))
+    if not mechanism.actuated or mechanism.force_unit == "V" or not tolerance:
+        return WithGain(score)
+    count = score.score.size
+    along = np.append(beta, np.zeros(count - beta.size))
+    return WithGain(score.along(np.column_stack([np.eye(count), along])),
+                    (Nuisance(TORQUE_GAIN, TORQUE_GAIN, tolerance),))
+
+
+def torque_reach(problem: LatentProblem) -> FloatArray:
+    """(n,) quantile REACHED of the measured torque's size; of a joint without a motor, the largest of all joints'."""
+    driven = list(problem.mechanism.actuated)
+    reach = np.zeros(problem.n)
+    if driven:
+        reach[driven] = np.quantile(np.abs(np.nan_to_num(problem.torque[:, driven])), REACHED, axis=0)
+    most = float(reach.max(initial=0.0)) or 1.0
+    return np.where(reach > 0.0, reach, most)
+
+
+def default_tolerances() -> dict[str, tuple[float, ...]]:
+    """Effect to the default of each of its sizes, for a rig whose torques reach 1 N m; without those that have none."""
+    found = {kind.name: tuple(size.tolerance for size in kind.sizes) for kind in classes()}
+    return {TORQUE_GAIN: (GAIN,), **{name: sizes for name, sizes in found.items() if any(sizes)}}
+
+
+def tolerance_sources() -> dict[str, str]:
+    """Effect to where its defaults come from."""
+    return {TORQUE_GAIN: GAIN_SOURCE, **{kind.name: kind.tolerance_source for kind in classes()}}
+
+
+def torque_power(unit: str) -> int:
+    """Power of a torque or force that a unit has: 1 of N m/rad and of kg m^2, -1 of rad/(N m), 0 of rad/s."""
+    over, _, under = unit.partition("/")
+    if found := re.search(r"\(N m\)\^(\d)", under):
+        return -int(found[1])
+    return int(bool(re.search(r"\bN\b|\bkg\b", over))) - int(bool(re.search(r"\bN\b|\bkg\b", under)))
+
+
+def _thinned(effect: Effect) -> list[tuple[float, ...]]:
+    grid = effect.grid()
+    return [grid[round(k)] for k in np.linspace(0, len(grid) - 1, min(SHAPES, len(grid)))]
+
+
+def _stated(effect: Effect, stated: Stated) -> tuple[float, ...]:
+    """Tolerances as stated or by default, not scaled."""
+    own = stated.get(effect.key, stated.get(effect.name))
+    if own is not None:
+        return tuple(own)[: len(effect.sizes)] + (0.0,) * (len(effect.sizes) - len(own))
+    return tuple(0.0 if ONLY in stated else size.tolerance for size in effect.sizes)
+
+
+def _tolerances(effect: Effect, stated: Stated, reach: FloatArray, slide: bool) -> list[float]:
+    if isinstance(effect, GenericTorque | GenericReading):
+        factor = float(stated.get(STRUCTURE, (1.0,))[0]) * float(reach.max()) ** -POWERS_OF_U.get(effect.label, 0)
+        if slide and isinstance(effect, GenericReading) and effect.channel.kind == "encoder":
+            factor *= WHEEL_M
+        return [factor * _scaled(size, effect, reach) for size in effect.sizes]
+    if effect.key in stated or effect.name in stated:
+        return list(_stated(effect, stated))
+    return [0.0 if ONLY in stated else _scaled(size, effect, reach) for size in effect.sizes]
+
+
+def _scaled(size: Size, effect: Effect, reach: FloatArray) -> float:
+    scale = float(reach.max() if effect.joint is None else reach[effect.joint]) ** torque_power(size.unit)
+    wheel = WHEEL_M if effect.slide and re.match(r"rad\b", size.unit) else 1.0
+    return size.tolerance * scale * wheel
+
+
+def _place(effect: Effect) -> tuple[str, str]:
+    """(source, group)"""
+    joint = f" {(effect.joint or 0) + 1}"
+    if isinstance(effect, GenericTorque):
+        return STRUCTURE, f"{STRUCTURE} of torque{joint}"
+    if isinstance(effect, GenericReading):
+        return STRUCTURE, f"{STRUCTURE} of {effect.channel}"
+    if isinstance(effect, GearEffect):
+        return effect.key, f"gear{joint}"
+    if isinstance(effect, LawEffect):
+        return effect.key, f"torques at joint{joint}"
+    if isinstance(effect, ImuEffect):
+        return effect.key, "IMU"
+    if isinstance(effect, EncoderEffect):
+        return effect.key, f"encoder{joint}"
+    return effect.key, effect.key

@@ -1,0 +1,119 @@
+"""The budget of a fit as a line, a table, JSON, a page and part of MODEL.json, and what the first line says of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import InputError, parse_rig
+from estimator.fitting import next_measurement
+from estimator.model import leg2
+from estimator.result import Budget, BudgetPart, FitResult
+from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
+from experiments.reports import fit_document, fit_sections, fit_text, fit_trust, model_of, with_fit_trust
+from experiments.reports.html import render_page
+from experiments.reports.trust import Trust
+from experiments.rig.writer import RigFacts, rig_toml
+from experiments.session.setup import stated_tolerances
+from tests.support.fits import synthetic_fit
+
+SETTINGS = MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81)
+
+
+def budgeted(enlarged: float = 1.0) -> FitResult:
+    """A fit whose torque constant is known to 2 % and whose lever arm moves every parameter by half a per cent."""
+    plain = synthetic_fit()
+    parts = (BudgetPart("noise", np.diag(plain.std)),
+             BudgetPart("torque_gain", 0.02 * plain.beta[None, :], (0.02,)),
+             BudgetPart("imu_lever_arm", 0.005 * plain.beta[None, :], (0.002,)),
+             BudgetPart("structure", 0.001 * np.diag(plain.beta)))
+    budget = Budget(parts, np.zeros(plain.mechanism.p), {} if enlarged == 1.0 else {"IMU": enlarged})
+    return replace(plain, budget=budget, covariance=np.sum([part.covariance for part in parts], axis=0))
+
+
+def test_the_first_line_says_how_well_a_parameter_is_known_and_what_to_calibrate() -> None:
+    trust = fit_trust(budgeted())
+    assert trust.level == "good"
+    assert ": beta1 is known to 4.6 % (torque constant 3.9 %, noise 2.1 %, lever arm 0.98 %)" in trust.sentence
+    assert trust.sentence.endswith("Calibrate the torque constant first.")
+    advice = next_measurement(budgeted())
+    assert advice is not None and advice.source and advice.name == "torque_gain"
+    assert "Write torque_gain = 0.002 under [tolerance]" in fit_text(budgeted(), "leg2")
+
+
+def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
+    found = budgeted(6.0)
+    document = fit_document(found, SETTINGS)
+    row = document["budget"][0]
+    assert row["parameter"] == "beta1" and row["parts"][0]["source"] == "torque_gain"
+    assert sum(part["std"] ** 2 for part in row["parts"]) == pytest.approx(found.std[0] ** 2)
+    assert document["tolerances_enlarged"] == {"IMU": 6.0}
+    assert "the runs ask for larger tolerances: IMU 6 times" in fit_text(found, "leg2")
+    page = render_page("Fit", "", fit_sections(found))
+    assert "What the intervals consist of" in page and "share of the variance" in page
+    save_model(model_of(found, SETTINGS, "linear", ["r1"]), tmp_path / "m.json")
+    model = load_model(tmp_path / "m.json")
+    whole = np.sum([np.array(part.directions).T @ np.array(part.directions) for part in model.budget], axis=0)
+    assert whole == pytest.approx(np.array(model.covariance, dtype=float))
+    band = fitted_model_of(model).covariance  # the torque of a run has the same scale as the parameters
+    assert band is not None and band[0, 0] == pytest.approx(found.std[0] ** 2 - (0.02 * found.beta[0]) ** 2)
+    wrong = json.loads((tmp_path / "m.json").read_text())
+    wrong["budget"][0]["directions"][0].pop()
+    (tmp_path / "m.json").write_text(json.dumps(wrong))
+    with pytest.raises(InputError, match="budget"):
+        load_model(tmp_path / "m.json")
+
+
+def test_a_value_that_the_budget_leaves_unknown_is_not_trusted() -> None:
+    found = budgeted()
+    assert found.budget is not None
+    wide = BudgetPart("imu_misalignment", 0.6 * found.beta[None, :], (0.1,))
+    lost = replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
+                   covariance=found.covariance + wide.covariance)
+    trust = fit_trust(lost)
+    assert trust.level == "bad" and trust.sentence.startswith("DO NOT TRUST the parameters: the budget is wider")
+
+
+def test_a_validation_repeats_what_the_fit_said_of_its_parameters() -> None:
+    free_run = Trust("good", "TRUST for simulation over 5 s: fit 97 % at worst, q2 in r1.")
+    bad = model_of(replace(budgeted(), prior_conflict=9.0), SETTINGS, "linear", ["r1"]).trust
+    assert bad is not None and bad.level == "bad"
+    told = with_fit_trust(free_run, bad)
+    assert told.level == "bad" and told.sentence.startswith("DO NOT TRUST the parameters, as their fit said. Free runs")
+    assert with_fit_trust(free_run, model_of(budgeted(), SETTINGS, "linear", ["r1"]).trust) == free_run
+
+
+LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[tolerance]\n'
+
+
+def test_tolerances_of_a_rig_file() -> None:
+    rig = parse_rig(LEG + "torque_gain = 0.01\njoint_stiffness.2 = [0.05, 0.01]\n")
+    assert stated_tolerances(rig, leg2()) == {"torque_gain": (0.01,), "joint_stiffness@2": (0.05, 0.01)}
+    assert stated_tolerances(parse_rig(LEG + "none = true\n"), leg2()) is None
+    weighed = parse_rig("[calibration]\ntorque_constant_nm_per_a = 0.5\ntorque_constant_half_nm_per_a = 0.0098\n" + LEG)
+    assert weighed.tolerances["torque_gain"] == pytest.approx((0.01,))
+
+
+@pytest.mark.parametrize(("entry", "told"), [
+    ("gyro_scale = -0.1", "from zero up"), ("none = 0.1", "none = true"), ("gyro_scale = true", "standard deviation"),
+    ("gyro_scale = nan", "from zero up")])
+def test_a_tolerance_that_is_none_is_refused(entry: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        parse_rig(LEG + entry)
+
+
+@pytest.mark.parametrize("entry", ["gyro_scal = 0.1", "joint_stiffness.3 = 0.1"])
+def test_a_tolerance_of_nothing_is_refused(entry: str) -> None:
+    with pytest.raises(InputError, match="is no effect of this rig"):
+        stated_tolerances(parse_rig(LEG + entry), leg2())
+
+
+def test_init_writes_every_default_as_a_comment_that_can_be_taken_in() -> None:
+    text = rig_toml(RigFacts(records=False))
+    lines = [line.removeprefix("# ") for line in text.split("[tolerance]")[1].splitlines()[3:] if " = " in line]
+    assert stated_tolerances(parse_rig(LEG + "\n".join(lines)), leg2()) is not None
+    assert len(lines) > 20 and "torque_gain = 0.05" in lines[0]
