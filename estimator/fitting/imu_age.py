@@ -33,7 +33,8 @@ EXCERPT = 4000
 
 def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
               beta: FloatArray) -> float:
-    """Age of the IMU [s], negative where it is early; 0 without an IMU, and where no age leaves a sharp least residual."""
+    """Age of the IMU [s], negative where it is early; 0 without an IMU, and where no age has a sharply least residual.
+    """
     if options.sensors != "imu" or not is_plain(mechanism, options) or not mechanism.actuated:
         return 0.0
     share = min(1.0, EXCERPT / sum(len(s.time_s) for s in signals))
