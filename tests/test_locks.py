@@ -99,7 +99,8 @@ def test_pip_refuses_a_file_that_no_hash_is_of(tmp_path: Path) -> None:
 
 
 def test_everything_that_make_installs_is_locked() -> None:
-    installs = [line for line in (ROOT / "Makefile").read_text(encoding="utf-8").splitlines() if "pip install" in line]
+    installs = [line for line in (ROOT / "Makefile").read_text(encoding="utf-8").splitlines() if "pip install" in line
+                and "echo" not in line]
     assert len(installs) == 3
     assert all("--require-hashes" in line or "--no-deps -e ." in line for line in installs)
 

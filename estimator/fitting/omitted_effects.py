@@ -33,8 +33,12 @@ def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: 
     """The likelihood of `some` of the `signals` of `problem`, with scores of `candidates`."""
     names = list(dict.fromkeys(one.run for one in signals))
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    begin = tuple(float(one.time_s[0]) for one in some)
-    stage = Stage(tuple(names.index(one.run) for one in some), begin, begin, reach, gear_ratio)
+    first = {name: next(one for one in signals if one.run == name) for name in names}  # clocks may count from 1970
+    lengths = [sum(len(one.time_s) for one in signals if one.run == name) / first[name].rate_hz for name in names]
+    starts = dict(zip(names, np.cumsum([0.0, *lengths[:-1]]).tolist(), strict=True))
+    begin = tuple(float(one.time_s[0] - first[one.run].time_s[0]) for one in some)
+    session = tuple(starts[one.run] + since for one, since in zip(some, begin, strict=True))
+    stage = Stage(tuple(names.index(one.run) for one in some), session, begin, reach, gear_ratio)
     found = LatentProblem(some, problem.mechanism, problem.collocation.hold, stage, problem.effects, candidates)
     return found.with_disturbance() if problem.disturbed else found
 

@@ -24,7 +24,7 @@ GROUPS = {
     "set up": ("init", "doctor", "calibrate", "demo", "emulate"),
     "record": ("excite", "record", "live", "info", "runs", "recover", "import_", "export"),
     "model": ("fit", "tune", "validate", "compare", "diagnose", "investigate", "effects"),
-    "use": ("simulate", "gains", "watch"),
+    "use": ("simulate", "gains", "compensate", "watch"),
     "check the program": ("verify", "casebook", "monte_carlo", "completion")}
 """Heading of `legid --help` -> modules of the folder in their order; others come last, under MORE."""
 MORE = "more"
@@ -96,7 +96,7 @@ def build_parser() -> Parser:
         before = len(subparsers._choices_actions)
         for name in names:
             import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
-        if names:
+        if names and "_ARGCOMPLETE" not in os.environ:  # a completion asks the parser for its commands alone
             line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)
             subparsers._choices_actions.insert(before, line)
     for command in subparsers.choices.values():

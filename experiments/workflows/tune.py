@@ -73,6 +73,9 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
 
     An entry changes only where a fit with it predicts runs not fitted: a finite error. Raises `InputError`, `FitError`.
     """
+    if rig.sampling.rate_hz is None:
+        own = load_runs(paths, rig, damaged)[0].rate_hz
+        rig = structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=own))
     bench = _Bench(paths, rig, sensors, damaged, fixed)
     out = Tuning(aside=bench.aside)
     done("terms", 0.05)

@@ -57,7 +57,7 @@ def test_an_attack_ends_in_one_line(name: str, tmp_path: Path) -> None:
     if "new.toml" in new:
         rig = parse_rig((tmp_path / "new.toml").read_text())
         assert rig.limits.torque_nm == 2.0 and set(tomllib.loads((tmp_path / "new.toml").read_text())) <= {
-            "mechanism", "imu", "motor", "sampling", "devices", "limits", "calibration", "prior"}
+            "mechanism", "imu", "motor", "sampling", "devices", "limits", "calibration", "prior", "tolerance"}
 
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="the cases are not on this machine")

@@ -44,7 +44,7 @@ def test_a_record_without_contacts_is_fitted_over_its_steps(folder: Path, model:
     assert document["converged"] and not document["undetermined"]
     assert any(text.startswith("walk2.csv: 11 touchdowns, as its angles show, to ") for text in document["assumptions"])
     for p, true in zip(document["parameters"], Walker().beta):
-        assert abs(p["value"] - true) < 4.0 * p["std"] < 0.1 * true
+        assert abs(p["value"] - true) < 4.0 * p["std"] < 0.3 * true
     assert json.loads(model.read_text())["mechanism"]["hips"] is True
 
 

@@ -44,8 +44,9 @@ def test_every_rig_file_shipped_is_valid_and_used() -> None:
 
 
 def test_no_code_knows_a_data_set_by_name() -> None:
-    names = re.compile(r"\b(" + "|".join({word for case in load_cases() for word in
-                                          (case.folder, case.folder.split("_")[0])}) + r")(?=\b|_)", re.IGNORECASE)
+    # BAM is a program, too, whose parameters an export writes
+    words = {word for case in load_cases() for word in (case.folder, case.folder.split("_")[0])} - {"bam"}
+    names = re.compile(r"\b(" + "|".join(words) + r")(?=\b|_)", re.IGNORECASE)
     for package in ("drivers", "daq", "estimator", "experiments"):
         for path in (ROOT / package).rglob("*.py"):
             code = [line for line in path.read_text().splitlines() if not line.strip().startswith("reference =")]
