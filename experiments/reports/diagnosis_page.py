@@ -39,6 +39,7 @@ from experiments.reports.diagnosis_text import (
     error_rows,
     gain_text,
     gap_text,
+    hold_words,
     key_label,
     probability,
     rotation_rows,
@@ -322,4 +323,4 @@ def _untestable(found: Diagnosis) -> Section:
 def _runs(found: Diagnosis) -> Section:
     uses = {"fit": "fitted; all causes were chosen by them", "confirm": "held out until the causes were chosen"}
     rows = [[use, ", ".join(found.runs[group])] for group, use in uses.items() if found.runs.get(group)]
-    return Section("Runs", (), [Table(["use", "runs"], rows)] if rows else ())
+    return Section("Runs", [hold_words(found)] if found.hold else (), [Table(["use", "runs"], rows)] if rows else ())

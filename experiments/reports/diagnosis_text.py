@@ -70,6 +70,11 @@ def answer_words(found: Diagnosis) -> str:
     return f"Probability of this answer: {value}, if the library has the true causes."
 
 
+def hold_words(found: Diagnosis) -> str:
+    """How torque was taken to act between samples; empty where nothing was fitted."""
+    return f"Torque acts between samples by the '{found.hold}' hold." if found.hold else ""
+
+
 ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
 
 
@@ -201,7 +206,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         blocks.append(f"Next experiment: {found.next_experiment}")
     blocks.append(f"Next step: {next_step(found)}")
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in found.runs.items() if names)
-    blocks.append(f"Runs: {used}. ({found.wall_s:.0f} s)" if used else f"({found.wall_s:.0f} s)")
+    blocks.append(" ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(found), f"({found.wall_s:.0f} s)"])))
     return "\n\n".join(blocks)
 
 
