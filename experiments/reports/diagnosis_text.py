@@ -71,7 +71,7 @@ def answer_words(found: Diagnosis) -> str:
 
 
 def hold_words(found: Diagnosis) -> str:
-    """How torque was taken to act between samples; empty where nothing was fitted."""
+    """Sentence on how torque was taken to act between samples; empty where nothing was fitted."""
     return f"Torque acts between samples by the '{found.hold}' hold." if found.hold else ""
 
 
