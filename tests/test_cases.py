@@ -10,7 +10,7 @@ import pytest
 from experiments.cli import main
 from tests.support.paths import CASES
 
-pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not beside the checkout")
+pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not next to the checkout")
 LEG = {"beta1": 0.10128, "beta2": 0.02368, "beta3": 0.0336, "beta4": 0.384, "beta5": 0.112}
 PENDULUM = {"beta1": 0.05, "beta2": 0.12}
 

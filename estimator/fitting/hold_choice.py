@@ -34,7 +34,7 @@ from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.imu_age import LATEST_S
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.newton_step import DIVERGED, newton_step
+from estimator.fitting.newton_step import newton_step
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import HELD, HOLDS, Mechanism, lag
 from estimator.numerics import eliminate
@@ -115,22 +115,27 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     found |= {hold: runners[hold].step() for hold in TRIED if found[hold].value > ahead}
     values = {hold: one.without - RARE.get(hold, 0.0) for hold, one in found.items()}
     best, second, *_ = sorted(values, key=lambda hold: -values[hold])
-    if found[best].delay_s:
-        return _delayed(parts, mechanism, begin, delays, np.flatnonzero(whole))._replace(imu_age_s=age)
+    if not np.isfinite(found[best].without):
+        return HoldChoice(FIRST, 0.0, HELD)
+    late = _delayed(parts, mechanism, begin, delays, np.flatnonzero(whole)) if found[best].delay_s else None
+    if late is not None:
+        return late._replace(imu_age_s=age)
     return HoldChoice(best, found[best].without - found[second].without, second, 0.0, age)
 
 
 def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, delays: tuple[Effect, ...],
-             free: NDArray[np.intp]) -> HoldChoice:
-    """The likelier of a held and a smooth torque, each as late as it likes.
+             free: NDArray[np.intp]) -> HoldChoice | None:
+    """The likelier of a held and a smooth torque, each with its likeliest delay.
 
-    The smooth one is delayed as `TorqueDelay` has it. Of the held one whole samples are, and within a sample the
-    torque steps at its instant. A hold that is as late in the mean by its definition goes before a delay, whatever
-    the steps' shape says: it shows in what an IMU and a log do between samples, which no record has.
+    `TorqueDelay` delays the smooth one. The held one moves by whole samples, and steps within a sample. A hold that is
+    as late by its definition goes before a delay, whatever the shape of the steps says: no record shows what an IMU and
+    a log do between samples. None where segments are too short, and where no fit of either can be made.
     """
     rate, p = parts[0].rate_hz, mechanism.p
     edge = int(np.ceil(LATEST_S * rate)) + 2
     kept = [k for k, s in enumerate(parts) if len(s.time_s) > 2 * edge + LEAST_SEGMENT // 2]
+    if not kept:
+        return None
     ends = np.cumsum([len(s.time_s) for s in parts])
     inside = np.concatenate([np.arange(ends[k] - len(parts[k].time_s) + edge, ends[k] - edge) for k in kept])
     start = State(begin.x.of(inside), begin.beta, begin.noise.at(inside), begin.covariance)
@@ -153,11 +158,15 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
                      start.beta.copy(), start.noise, free)
     smooth.step()
     line = smooth.step()
+    if not np.isfinite(line.optimum):
+        return None
     centre = -float(smooth.beta[p])
     about, most = np.clip(rate * centre - lag(HELD), -LATEST_S * rate, LATEST_S * rate), LATEST_S * rate
     at = minimize_scalar(lambda delay: -held(delay), method="bounded", options={"xatol": 0.002},
                          bounds=(max(about - REACH, -most), min(about + REACH, most)))
     delay, best = float(at.x), -float(at.fun)
+    if not np.isfinite(best):
+        return HoldChoice(FIRST, np.inf, HELD, centre)
     fall = best - held(delay + KNOWN) + best - held(delay - KNOWN)
     ahead = best - line.optimum
     ways = [(FIRST, centre, line.std_s, TRIED, -ahead),
@@ -172,7 +181,7 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
 
 
 def _freed(problem: LatentProblem, begin: State, free: NDArray[np.bool_], options: FitOptions) -> State:
-    """`begin` after some steps with free delays, noise levels renewed: a delay that is none is noise else."""
+    """`begin` after some steps with free delays. Its noise levels no longer hold what a delay explains."""
     try:
         return iterate(problem, begin, free, replace(options, prior={}), noise_floors(
             problem, problem.mechanism, begin.beta[: problem.mechanism.p]), FREED)
@@ -181,8 +190,10 @@ def _freed(problem: LatentProblem, begin: State, free: NDArray[np.bool_], option
 
 
 def _shape(std_s: float, dt_s: float) -> float:
-    """Log-likelihood that an error of KNOWN samples costs where a delay is known to `std_s`: by less no shape is told
-    from another, for an IMU and a log do more between samples."""
+    """Log-likelihood that an error of KNOWN samples costs where a delay is known to `std_s`.
+
+    A smaller difference does not tell two shapes apart.
+    """
     return 0.5 * (KNOWN * dt_s / std_s) ** 2 if std_s else 0.0
 
 
@@ -217,7 +228,7 @@ class _Runner:
     def step(self, delays: bool = True) -> _Evidence:
         """Evidence predicted for the optimum; one Gauss-Newton step. `delays`: the first effect is the torque's.
 
-        -inf where the equations cannot be solved. Raises `FitError` where the step diverges.
+        -inf where the equations cannot be solved, and where the step diverges.
         """
         problem, index = self.problem, self.free
         p = problem.mechanism.p
@@ -233,7 +244,7 @@ class _Runner:
         self.x = self.x.moved(step.latents)
         self.beta[index] += step.beta
         if not (np.isfinite(self.beta).all() and np.isfinite(self.x.q).all()):
-            raise FitError(DIVERGED)
+            return _Evidence(-np.inf)
         value = float(-0.5 * (squares + solved.log_determinant()) + 2.0 * np.sum(size * held.mean(axis=0)))
         if not (delays and problem.mechanism.actuated):
             return _Evidence(value, optimum=value, without=value)

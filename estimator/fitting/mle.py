@@ -242,7 +242,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
         told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
                 f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
         return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
-            state, None, "how late the IMU is is not determined by this motion")
+            state, None, "this motion does not determine how late the IMU is")
     if not again.converged or std > bound_s:
         return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
                              "does not determine it better")

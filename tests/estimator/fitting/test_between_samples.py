@@ -144,3 +144,13 @@ def test_a_held_torque_steps_within_an_interval(late: float) -> None:
     np.testing.assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
     moments = (GAUSS[0] - 0.5) * values[0] / 2 + (GAUSS[1] - 0.5) * values[1] / 2
     np.testing.assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
+
+
+def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:
+    """Its segments are shorter than the delays that are looked for."""
+    rng = np.random.default_rng(4)
+    leg = random_leg(rng)
+    run = record_timed(leg, rng, Timing(500, delay_s=0.015), seconds=3.0)
+    short = [replace(run.part(slice(k, k + 60)), name=f"r{k}") for k in range(300, 1400, 60)]
+    hold, _ = between_samples(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
+    assert hold in HOLDS
