@@ -18,6 +18,7 @@ from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
 from daq.rig_devices import NODES, Devices
 from daq.rig_limits import Limits
+from daq.rig_sampling import Filter, Sampling, Timing
 from daq.rig_types import (
     IDENTITY3,
     Correlation,
@@ -145,35 +146,6 @@ class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
         """Encoder noise of one joint (0-based, -1 the last); None where it is to be estimated."""
         known = self.encoder_rad
         return known[joint] if isinstance(known, tuple) else known
-
-
-class Sampling(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    rate_hz: Positive | None = None
-    """Of the grid; None: each record's own."""
-    hold: Literal["auto", "zero", "past", "linear", "average", "smooth"] = "auto"
-    """How the measured torque acts between samples; auto: as the motion makes likeliest."""
-
-    @property
-    def planned_hz(self) -> float:
-        """Rate that a plan counts on before there is a record."""
-        return 100.0 if self.rate_hz is None else self.rate_hz
-
-
-class Timing(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Times between a stamp and what it stamps, as far as they are known."""
-
-    torque_delay_s: tuple[float, float] | None = None
-    """How long after its stamp, beyond its hold, a torque acts, and the standard deviation of that."""
-    control_period_s: Positive | None = None
-    """From one tick of the controller to the next: its torque is held between ticks, of which a log may keep some."""
-
-
-class Filter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Zero-phase Butterworth low pass of `wls` and of every starting value."""
-
-    cutoff_hz: Positive | None = None
-    """-6 dB point of the forward-backward filter; absent: a tenth of the rate, at most 10 Hz."""
-    order: Annotated[int, Meta(ge=1, le=8)] = 4
 
 
 class Calibration(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
