@@ -19,11 +19,12 @@ from estimator.diagnosis.gain import in_pieces, measure_gain
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import BudgetRow, Cause, Diagnosis, Remainder, Rotation, SizeEstimate
+from estimator.diagnosis.result import BudgetRow, Cause, Diagnosis, Remainder, Rotation, SizeEstimate, SmallSize
 from estimator.diagnosis.verdict import Answer, Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
-from estimator.fitting import disturbance_levels, imu_levels, torque_levels
+from estimator.fitting import SmallFault, disturbance_levels, imu_levels, torque_levels
+from estimator.model import Mechanism
 from estimator.prediction import FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
 
@@ -45,6 +46,8 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
                     compared=compared(family, first), probability=probability, remainder=remainder(family, decision))
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
+    if decision.within and best is not None:
+        return tolerated(with_blind_sensors(found, first), best, p)
     if decision.verdict == "none":
         return nothing(with_blind_sensors(found, first), best, p)
     if decision.verdict == "unexplained" or decision.answer is None:
@@ -114,6 +117,14 @@ def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
     return tuple(BudgetRow(what, float(value), (float(a), float(b)), None if e is None else e.name,
                            None if e is None or e.joint is None else e.joint + 1)
                  for (what, e), value, a, b in zip(parts, point, low, high))
+
+
+def within(faults: Sequence[SmallFault], mechanism: Mechanism) -> tuple[SmallSize, ...]:
+    """Each size of the `faults`, the largest in units of its tolerance first."""
+    sizes = [SmallSize(one.effect.name, None if one.effect.joint is None else one.effect.joint + 1, size.name,
+                       mechanism.unit(size.unit), float(value), float(tolerance))
+             for one in faults for size, value, tolerance in zip(one.effect.sizes, one.size, one.tolerance)]
+    return tuple(sorted(sizes, key=lambda one: -abs(one.value) / one.tolerance))
 
 
 def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
@@ -225,6 +236,8 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
                 "are present, but not each of them surely reduces")
         sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} the free-run rms error by "
                     f"{100 * found.material:.0f} %")
+    if found.within_tolerance:
+        sentence += ". Small faults of sensors, within the tolerances of the rig, were taken off the readings before"
     if found.unmeasured:
         sentence += (". Noise includes an unmeasured torque of "
                      + " and ".join(f"{level} (rms) at joint {j}" for j, level in found.unmeasured.items()))
@@ -244,6 +257,17 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
     return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment=f"{called}. To look for smaller effects, record more runs like these: the smallest "
                    "detectable sizes fall with the square root of their number.")
+
+
+def tolerated(found: Diagnosis, best: Explanation, p_value: float) -> Diagnosis:
+    """Verdict `none` where what is there and changes the simulation is within the tolerances of the rig."""
+    causes = tuple(causes_of(best, p_value, found))
+    told = "; ".join(f"{label(c.effect, c.joint)}, {sizes_text(c)}" for c in causes)
+    before, after = found.error or (np.nan, np.nan)
+    return replace(found, verdict="none", immaterial=causes, sentence=(
+        f"No fault beyond the tolerances of the rig. Within them, {told} explains the error: {before:.2g} times that "
+        f"of noise alone, {after:.2g} with it."), next_experiment="None is needed if that is acceptable. To have the "
+        "simulation right, calibrate it, or state its size in the rig file.")
 
 
 def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
@@ -269,8 +293,11 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
         found = replace(found, warnings=(*found.warnings, f"these runs do not determine {' and '.join(lacking)}: other "
                                          "sizes or parameters can replace them"))
     found = with_gain(found, nominal, best, noise, rng)
-    causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
-    rivals = [causes_of(t, p_value, found) for t in indistinguishable]
+    rivals = [[c for c, e in zip(causes_of(t, p_value, found), t.model.named, strict=True) if e.key in t.beyond]
+              for t in indistinguishable]
+    causes = {c.effect + str(c.joint): c for own in rivals for c in own}
+    small = [c for c, e in zip(causes_of(best, p_value, found), best.model.named, strict=True) if e.key in best.within]
+    found = replace(found, immaterial=(*found.immaterial, *small))
     if len(indistinguishable) == 1:
         told = "; ".join(_told(c) for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."

@@ -18,7 +18,6 @@ from estimator.diagnosis.model import (
     begin_afresh,
     bootstrap_scores,
     deviance,
-    fit_nominal,
     predicted_train,
     refit,
     score_train,
@@ -30,7 +29,17 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import Candidate
 from estimator.prediction import PredictedRun
-from estimator.score import ALPHA, NO_TESTS, Score, ScoreTests, columns_of, determined, own_inflation
+from estimator.score import (
+    ALPHA,
+    BEYOND,
+    NO_TESTS,
+    Score,
+    ScoreTests,
+    columns_of,
+    determined,
+    nuisances_of,
+    own_inflation,
+)
 
 Progress = Callable[[str, float], None]
 Start = list[tuple[Effect, FloatArray]]
@@ -56,7 +65,7 @@ class DiagnosisContext:
     biases: dict[int, list[FloatArray]] = field(default_factory=dict)
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
-    """(R,) of the nominal parameters, one a train run"""
+    """(R,) of the nominal parameters and then of all candidates, one a train run"""
     left_out: list[tuple[Model, dict[int, PredictedRun]]] = field(default_factory=list)
     """See `train_errors.left_out_runs`"""
     extensions: list[tuple[Explanation, Model]] = field(default_factory=list)
@@ -93,6 +102,11 @@ class DiagnosisContext:
         return noise_dominated(self.nominal)
 
     @property
+    def own_scores(self) -> list[Score]:
+        """(R,) of the nominal parameters alone, one a train run."""
+        return [one.of(np.arange(self.split.mechanism.p)) for one in self.scores]
+
+    @property
     def trials(self) -> int:
         return len(self.candidates)
 
@@ -109,12 +123,9 @@ class DiagnosisContext:
         return MATERIAL**2 * self.nominal.problem.total
 
 
-def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
+def scored(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
            bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
-    """The nominal fit and the scores of `candidates` at it, less their `bias`, which is simulated if it is not given.
-
-    Raises `FitError`."""
-    nominal = fit_nominal(split)
+    """The scores of `candidates` at a nominal fit, less their `bias`, which is simulated if it is not given."""
     say("scoring the library", 0.15)
     scores = score_train(nominal, candidates)
     if not bias:
@@ -123,8 +134,8 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
             bias = bootstrap_scores(nominal, candidates, scores, rng)
         except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
             bias = [np.zeros_like(s.score) for s in scores]
-    own = tuple(s.of(np.arange(split.mechanism.p)) for s in scores)
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng, scores=own)
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng,
+                               scores=tuple(scores))
     return context, tests_of(nominal, scores, bias)
 
 
@@ -278,5 +289,16 @@ def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequen
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
     return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
+                   within=within_tolerance(model),
                    inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
                    scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
+
+
+def within_tolerance(model: Model) -> frozenset[str]:
+    """Keys of the effects of a model whose sizes the tolerances of the rig hold."""
+    stated, found = model.split.options.tolerances, set[str]()
+    for effect, size in zip(model.effects, model.sizes(), strict=True) if stated is not None else ():
+        own = nuisances_of([Candidate(effect, tuple(size[len(effect.sizes) :]))], model.problem, stated or {})
+        if all(abs(value) <= BEYOND * one.tolerance for value, one in zip(size, own, strict=False)):
+            found.add(effect.key)
+    return frozenset(found)

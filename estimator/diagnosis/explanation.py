@@ -40,11 +40,18 @@ class Explanation:
     """(K,) gain of each candidate in addition to it; zero for its own effects"""
     scores: tuple[Score, ...] = ()
     """(R,) of its own parameters, one a train run"""
+    within: frozenset[str] = frozenset()
+    """Keys of its effects whose sizes the tolerances of the rig hold"""
 
     @property
     def keys(self) -> frozenset[str]:
         """Its effects."""
         return frozenset(e.key for e in self.model.effects)
+
+    @property
+    def beyond(self) -> frozenset[str]:
+        """Its effects that no tolerance of the rig holds."""
+        return self.keys - self.within
 
     def covariance(self) -> FloatArray:
         """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
@@ -148,6 +155,12 @@ def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
     best = next((o for o in near if not o.has_residual), most)
     return distinguishable([best, *(o for o in near if o is not best and
                              (not o.has_residual or best.has_residual or equivalent(o, best)))])
+
+
+def fewest_beyond(near: Sequence[Explanation]) -> list[Explanation]:
+    """Those of explanations that are not told apart with the fewest effects beyond the tolerances of the rig."""
+    least = min(len(o.beyond) for o in near)
+    return [o for o in near if len(o.beyond) == least]
 
 
 def is_close(other: Explanation, most: Explanation) -> bool:

@@ -16,7 +16,7 @@ from estimator.diagnosis.context import DiagnosisContext, assess, with_generic
 from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
-from estimator.diagnosis.explanation import Explanation, admissible, by_error, is_close, shortlisted
+from estimator.diagnosis.explanation import Explanation, admissible, by_error, fewest_beyond, is_close, shortlisted
 from estimator.diagnosis.model import Model, deviance, fit_nominal, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
@@ -128,6 +128,7 @@ def choose_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], f
     possible = [(o, k) for k, o in enumerate(every, 1) if admissible(o)]
     best, row = choose(possible, table, context.share)
     while True:
+        best = fewest_beyond(best)
         parts = without_each(context, best[0], every)
         every += [p for p in parts if not any(p is e for e in every)]
         rows = [1 + next(k for k, e in enumerate(every) if e is p) for p in parts]
@@ -183,7 +184,7 @@ def second_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], b
     among = [(o, k) for k, o in enumerate(more, 1) if table.falls(k, row, context.share)]
     if not among:
         return None
-    both, _ = likeliest(among, table, context.share, row)
+    both = fewest_beyond(likeliest(among, table, context.share, row)[0])
     return both, without_each(context, both[0], [*best, *shortlist, *parts])
 
 

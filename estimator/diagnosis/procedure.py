@@ -1,8 +1,9 @@
 """`diagnose`: what the simulation gets wrong, the cause, and what extending the model gains.
 
     runs    = split_runs(datasets)            train and test runs
-    nominal = scored(runs, library)           fit and scores of the train runs
-    found   = search(nominal)                 sets of effects, by the train runs alone
+    begun   = begin(runs, library)            fit and scores of the train runs
+    runs    = within_tolerances(begun)        readings without small faults of their sensors
+    found   = search(begun)                   sets of effects, by the train runs alone; once more without small faults
     family  = family_of(found)                the answer, and every model that its verdict asks for
     table   = measure_first(family)           free-run errors on the test runs, which are looked at here first
     verdict = decide(table, family)           no fit, no simulation, no random number
@@ -16,11 +17,12 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from daq import Dataset
+from daq import Dataset, FloatArray
 from estimator.diagnosis import account
 from estimator.diagnosis.context import (
     DiagnosisContext,
@@ -31,12 +33,12 @@ from estimator.diagnosis.context import (
     scored,
     separability,
 )
+from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
-from estimator.diagnosis.error_table import NOMINAL
-from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.explanation import Explanation, admissible, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, deviance, likeliest_smoothing_velocity
+from estimator.diagnosis.model import Model, deviance, fit_nominal, likeliest_smoothing_velocity, score_train
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
@@ -45,7 +47,7 @@ from estimator.diagnosis.train_errors import floor_of_best, train_table
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
-from estimator.fitting import between_samples, describe_smoothing_velocity
+from estimator.fitting import SmallFault, between_samples, describe_smoothing_velocity
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import load_compiler
@@ -97,38 +99,99 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
-    context, tests = scored(split, candidates, named, rng, say)
-    there = detected(context, tests)
-    generic = generic_extension(context, context.nominal, tests) if there else None
-    if stated is not None and there:
-        other = smoothing_velocity_with(context, tests, generic, stated)
+    begun = begin(fit_nominal(split), candidates, named, rng, say, material)
+    taken: tuple[SmallFault, ...] = ()
+    less = within_tolerances(begun, [Explanation(begun.context.nominal, 0.0)])
+    if less is not None:
+        clean = begin(less.nominal, candidates, named, rng, say, material, begun.context.bias)
+        if least_error(clean.context, []) <= EDGE:
+            begun, taken = clean, less.faults
+    if stated is not None and begun.there:
+        other = smoothing_velocity_with(begun, stated)
         if other is not None:
             with suppress(FitError):
-                context, tests = scored(replace(split, mechanism=other, stiction={}), candidates, named, rng, say,
-                                        context.bias)
-                there = detected(context, tests)
-                generic = generic_extension(context, context.nominal, tests) if there else None
-    context.share = material
+                again = replace(begun.context.split, mechanism=other, stiction={})
+                begun = begin(fit_nominal(again), candidates, named, rng, say, material, begun.context.bias)
+    found = searched(begun, say)
+    less = within_tolerances(begun, [e for e in first_of_each(found) if e.has_residual and admissible(e)])
+    if less is not None:
+        clean = begin(less.nominal, candidates, named, rng, say, material, begun.context.bias)
+        fewer = searched(clean, say)
+        if least_error(clean.context, fewer) <= EDGE:
+            begun, found, taken = clean, fewer, together_with(taken, less.faults)
+    context = begun.context
     base = account.base(context.nominal, refused, reference)
-    base = replace(base, candidates=rank(context, tests), separability=separability(context, tests))
-    found: list[Explanation] = []
-    if there or large(context):
-        found = search(context, tests, say)
-    elif context.noise_dominated:
-        raise FitError(context.noise_dominated)
+    base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests),
+                   within_tolerance=account.within(taken, context.split.mechanism))
     say("simulating the held-out runs", 0.85)
-    concluded = conclude(context, base, found, generic, rng)
+    concluded = conclude(context, base, found, begun.generic, rng)
     return replace(with_structure(concluded, context.nominal), mechanism=context.nominal.split.mechanism)
+
+
+class Begun(NamedTuple):
+    """The nominal model of some runs, and what its scores show."""
+
+    context: DiagnosisContext
+    tests: ScoreTests
+    there: bool
+    """Whether a term is detected."""
+    generic: Model | None
+    """With generic terms, where any is significant."""
+
+
+def begin(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
+          material: float, bias: Sequence[FloatArray] = ()) -> Begun:
+    """The scores of `candidates` at a nominal fit, and what they show."""
+    context, tests = scored(nominal, candidates, named, rng, say, bias)
+    there = detected(context, tests)
+    generic = generic_extension(context, nominal, tests) if there else None
+    context.share = material
+    return Begun(context, tests, there, generic)
+
+
+def within_tolerances(begun: Begun, found: Sequence[Explanation]) -> Corrected | None:
+    """The runs without small faults of their sensors that the first of the explanations `found` shows, if any does."""
+    context = begun.context
+    for one in found if begun.there else ():
+        scores = context.scores if one.model is context.nominal else score_train(one.model, context.candidates)
+        less = corrected(context, one.model, unbiased(context, one.model, scores))
+        if less is not None:
+            return less
+    return None
+
+
+def searched(begun: Begun, say: Progress) -> list[Explanation]:
+    """Explanations of what is there. Raises `FitError` where noise hides whether anything is."""
+    if begun.there or large(begun.context):
+        return search(begun.context, begun.tests, say)
+    if begun.context.noise_dominated:
+        raise FitError(begun.context.noise_dominated)
+    return []
+
+
+def together_with(faults: Sequence[SmallFault], more: Sequence[SmallFault]) -> tuple[SmallFault, ...]:
+    """All of them, sizes of one effect added up."""
+    every = {one.effect.key: one for one in faults}
+    for one in more:
+        known = every.get(one.effect.key)
+        every[one.effect.key] = one if known is None else known._replace(size=known.size + one.size)
+    return tuple(every.values())
 
 
 def large(context: DiagnosisContext) -> bool:
     """Whether explanations are sought even where no term is detected: the nominal model errs more on the train runs
     than noise explains, or a sensor's noise may hide motion."""
-    if noisy_sensors(context.nominal):
-        return True
+    return bool(noisy_sensors(context.nominal)) or EDGE < least_error(context, []) < np.inf
+
+
+def least_error(context: DiagnosisContext, found: Sequence[Explanation]) -> float:
+    """The least error of the nominal model and of explanations on the train runs, over that of noise; infinite where
+    none can be simulated."""
     with suppress(FitError):
-        return train_table(context, [], floor_of_best(context, [], context.split.train)).error(NOMINAL) > EDGE
-    return False
+        best = by_error(first_of_each(found))
+        table = train_table(context, best, floor_of_best(context, best, context.split.train))
+        return min(table.error(k) for k in range(1 + len(best)))
+    return np.inf
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explanation], generic: Model | None,
@@ -149,15 +212,15 @@ def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explana
     return account.describe(context, base, family, decision, table, first, rotations, probability, rng)
 
 
-def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, stated: Mechanism
-                            ) -> Mechanism | None:
+def smoothing_velocity_with(begun: Begun, stated: Mechanism) -> Mechanism | None:
     """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
-    the largest scores and of `generic` terms; None if it stays.
+    the largest scores and of generic terms; None if it stays.
 
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
-    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:WIDTH])
-    models = [m for m in (single, generic) if m is not None]
+    context = begun.context
+    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, begun.tests)])[:WIDTH])
+    models = [m for m in (single, begun.generic) if m is not None]
     if not models:
         return None
     try:

@@ -44,7 +44,7 @@ def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: 
 
     Each run is predicted by the fit to the other train runs. Raises `FitError`.
     """
-    every = [left_out_runs(context, context.nominal, context.scores, floor.runs),
+    every = [left_out_runs(context, context.nominal, context.own_scores, floor.runs),
              *(left_out_runs(context, e.model, e.scores, floor.runs) for e in found)]
     runs = [reduce(together, [one[run] for one in every]) for run in floor.runs]
     return judged(floor.unit, runs, floor.floors, range(len(every)), context.rng)

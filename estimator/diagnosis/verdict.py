@@ -29,6 +29,7 @@ HALF = "it explains less than half of the error"
 IMITATES = "one further effect or generic term explains more of the readings than it does"
 NOT_PRESENT = "a defining size is not significant, or has an impossible sign"
 UNCHANGED = "it does not reduce the free-run error of the held-out runs"
+WITHIN = "the tolerances of the rig hold its size, and it leaves more than noise"
 UNSURE = ("it reduces the free-run error of the held-out runs, but not significantly, or not on every run, or without "
           "a larger likelihood")
 
@@ -111,6 +112,8 @@ class Decision:
     """Whether these runs leave it open, so that every run should be a test run once"""
     minor: Explanation | None = None
     """The answer with an effect that each test run shows, too"""
+    within: bool = False
+    """Whether the answer is no fault: the tolerances of the rig hold all its sizes"""
 
     @property
     def best(self) -> Explanation | None:
@@ -129,8 +132,8 @@ def _keys(answer: Answer | None) -> frozenset[str]:
 
 def decide(table: ErrorTable, family: Family, material: float) -> Decision:
     """The verdict by the errors in `table`; `material` is the least relative reduction that counts."""
-    found = _decide(table, family, material)
-    if found.verdict != "none":
+    found = tolerated(table, _decide(table, family, material))
+    if found.verdict != "none" or found.within:
         return found
     row = NOMINAL if found.answer is None else found.answer.row
     hidden = next((h for h in family.hidden if h.row == row), None)
@@ -140,6 +143,16 @@ def decide(table: ErrorTable, family: Family, material: float) -> Decision:
     elif family.answer is None and family.dominated:
         why = family.dominated
     return replace(found, verdict="unexplained", why=why, refused=True) if why else found
+
+
+def tolerated(table: ErrorTable, found: Decision) -> Decision:
+    """`found`, or no fault where the tolerances of the rig hold the sizes of all that it names, and leave no more than
+    noise may."""
+    if found.answer is None or found.verdict not in ("named", "partial") or found.answer.best[0].beyond:
+        return found
+    if table.error(found.answer.row) <= EDGE:
+        return Decision("none", found.answer, within=True)
+    return Decision("unexplained", found.answer, WITHIN, found.terms, refused=True, open=found.open)
 
 
 def _decide(table: ErrorTable, family: Family, material: float) -> Decision:

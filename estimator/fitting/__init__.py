@@ -20,6 +20,7 @@ from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import with_second_opinion
+from estimator.fitting.small_faults import SmallFault, small_faults, without_faults
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "MarginalLikelihood",
     "Measurement",
     "Policies",
+    "SmallFault",
     "between_samples",
     "converge_motion",
     "descend",
@@ -54,9 +56,11 @@ __all__ = [
     "noise_floors",
     "of_noise",
     "require_scale",
+    "small_faults",
     "start_motion",
     "start_state",
     "torque_levels",
     "weighted_least_squares",
     "with_second_opinion",
+    "without_faults",
 ]

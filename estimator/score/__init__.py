@@ -26,11 +26,12 @@ from estimator.score.score_tests import (
     own_inflation,
     project,
 )
+from estimator.score.sensor_faults import BEYOND, SensorFaults
 
 __all__ = [
-    "ALPHA", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance", "Projected",
-    "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of", "default_tolerances", "determined",
-    "discounted", "enlarged", "least_sigmas", "marginalise", "nuisance_candidates", "nuisances_of", "own_inflation",
-    "project", "projected", "robust_covariance", "score_alone", "score_at", "score_runs", "student_quantile",
-    "tolerance_sources", "total", "with_torque_gain",
+    "ALPHA", "BEYOND", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance",
+    "Projected", "RunScores", "Score", "ScoreTests", "SensorFaults", "agreement_of", "columns_of",
+    "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
+    "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
+    "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources", "total", "with_torque_gain",
 ]

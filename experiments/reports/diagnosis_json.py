@@ -50,6 +50,9 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
              "joint": None if row.effect is None else contract_joint(row.effect, row.joint), "share": row.share,
              "ci95": list(row.ci95)} for row in found.budget],
         "immaterial": [_cause(cause) for cause in found.immaterial],
+        "within_tolerance": [
+            {"effect": one.effect, "joint": contract_joint(one.effect, one.joint), "name": one.name, "unit": one.unit,
+             "value": one.value, "tolerance": one.tolerance} for one in found.within_tolerance],
         "remainder": None if found.remainder is None else {
             "joint": found.remainder.joint, "channel": found.remainder.channel,
             "depends_on": found.remainder.depends_on},

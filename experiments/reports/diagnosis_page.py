@@ -30,6 +30,8 @@ from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,
     ROTATION_HEADER,
+    SMALL_HEADER,
+    SMALL_TITLE,
     answer_words,
     budget_rows,
     budget_words,
@@ -48,6 +50,7 @@ from experiments.reports.diagnosis_text import (
     short_title,
     size_rows,
     size_text,
+    small_rows,
 )
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.next_step import next_step
@@ -128,8 +131,10 @@ def _verdict(found: Diagnosis) -> Section:
     header = ["effect", "size", "value", "95 % interval", "unit"]
     rows = [row for cause in found.causes for row in size_rows(cause)]
     notes = [_about(cause) for cause in found.causes]
-    return Section(causes_title(found), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
-                   notes)
+    tables = [Table(header, rows, right=frozenset({2, 3}))] if rows else []
+    if small := small_rows(found):
+        tables.append(Table(SMALL_HEADER, small, SMALL_TITLE[:1].lower() + SMALL_TITLE[1:], frozenset({2, 3})))
+    return Section(causes_title(found), (), tables, (), notes)
 
 
 def _budget(found: Diagnosis) -> Section:

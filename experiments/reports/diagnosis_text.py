@@ -75,6 +75,17 @@ def hold_words(found: Diagnosis) -> str:
     return f"Torque acts between samples by the '{found.hold}' hold." if found.hold else ""
 
 
+SMALL_HEADER, WORTH = ["effect", "size", "value", "tolerance (1 sigma)", "unit"], 0.5
+"""Of a tolerance: smaller sizes are not in the table."""
+SMALL_TITLE = "Within the rig's tolerances, taken off the readings before anything was tried"
+
+
+def small_rows(found: Diagnosis) -> list[list[str]]:
+    """One row of SMALL_HEADER for each size that is worth a line."""
+    return [[effect_label(one.effect, one.joint), one.name, f"{one.value:.3g}", f"{one.tolerance:.3g}", one.unit]
+            for one in found.within_tolerance if abs(one.value) >= WORTH * one.tolerance]
+
+
 ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
 
 
@@ -165,7 +176,7 @@ def budget_rows(found: Diagnosis) -> list[list[str]]:
 def causes_title(found: Diagnosis) -> str:
     """Title of the list of causes; without any there are only warnings."""
     if not found.causes:
-        return "Warnings"
+        return "Small faults and warnings" if small_rows(found) else "Warnings"
     return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
 
 
@@ -187,6 +198,8 @@ def diagnosis_text(found: Diagnosis) -> str:
         rows = [row for cause in found.immaterial for row in size_rows(cause)]
         blocks.append("Present, not material:\n" + text_table(
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
+    if rows := small_rows(found):
+        blocks.append(f"{SMALL_TITLE}:\n" + text_table(SMALL_HEADER, rows, {2, 3}))
     if found.sensors:
         blocks.append("\n".join([
             f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:",

@@ -45,7 +45,8 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
         require_sound(setup)
     except FitError as error:
         return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=notes, material=material)
-    found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
+    options = replace(setup.options, tolerances=setup.tolerances)
+    found = diagnose(setup.datasets, setup.mechanism, options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
     if reference is not None and found.verdict == "fit_failed":
         found = replace(found, sentence=f"{found.sentence} The reference was not compared: that needs a fit of these "

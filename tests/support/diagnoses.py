@@ -12,6 +12,7 @@ from estimator.diagnosis.result import (
     SensorGain,
     Signature,
     SizeEstimate,
+    SmallSize,
     Trace,
 )
 
@@ -54,6 +55,8 @@ def synthetic() -> Diagnosis:
         (Trace("r4.csv", t, measured, before, after),), wall_s=20.0,
         budget=(BudgetRow("nominal", 1.0, (1.0, 1.0)), BudgetRow("cause", 0.9, (0.8, 0.97), "stribeck_friction", 2),
                 BudgetRow("remainder", 0.1, (0.03, 0.2)), BudgetRow("noise", 0.125, (0.1, 0.2))),
+        within_tolerance=(SmallSize("gyro_scale", None, "scale_error", "1", 0.0088, 0.01),
+                          SmallSize("encoder_offset", 2, "offset", "rad", 0.0004, 0.003)),
         error=(3.0, 1.2), remainder=Remainder(1, "torque1", "q v"),
         immaterial=(Cause("sensor_time_skew", None, "the IMU is late against encoder and torque",
                           (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),),

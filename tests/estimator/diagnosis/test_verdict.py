@@ -13,6 +13,7 @@ import pytest
 from estimator.diagnosis import verdict
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL
 from estimator.diagnosis.error_table import ErrorTable
+from estimator.diagnosis.explanation import fewest_beyond
 from estimator.diagnosis.verdict import (
     GENERIC_ALONE,
     GENERIC_MORE,
@@ -21,6 +22,7 @@ from estimator.diagnosis.verdict import (
     NOT_PRESENT,
     UNCHANGED,
     UNSURE,
+    WITHIN,
     Answer,
     Decision,
     Family,
@@ -266,3 +268,20 @@ def test_rows_without_which_no_verdict_is_passed() -> None:
     hidden = (Hidden(0, 9, "", True), Hidden(1, None, "", True))
     every = replace(family, own=4, rivals=rivals, minor=(explained(1.0, "spring", "skew"), 8), hidden=hidden)
     assert every.core == (0, 1, 2, 4, 9) and RUNS == 2 and EDGE == 1.5
+
+
+@pytest.mark.parametrize(("after", "expected", "why"), [(1.2, "none", ""), (2.2, "unexplained", WITHIN)])
+def test_what_the_tolerances_of_the_rig_hold_is_no_fault(after: float, expected: str, why: str) -> None:
+    """Unless it leaves more than noise: then something else is wrong."""
+    offset = replace(explained(900.0, "offset"), within=frozenset({"offset"}))
+    found = decided(table_of(9.0, after), family_of(offset))
+    assert found.verdict == expected and found.within is (expected == "none") and found.why == why
+    assert found.answer is not None and found.answer.best == (offset,)
+    assert decided(table_of(9.0, after), family_of(explained(900.0, "offset"))).verdict in ("named", "partial")
+
+
+def test_of_sets_that_are_alike_those_with_the_fewest_faults_are_kept() -> None:
+    spring = explained(900.0, "skew", "spring")
+    offset = replace(explained(899.0, "skew", "offset"), within=frozenset({"offset"}))
+    assert fewest_beyond([spring, offset]) == [offset] and fewest_beyond([spring]) == [spring]
+    assert offset.beyond == {"skew"} and spring.beyond == {"skew", "spring"}

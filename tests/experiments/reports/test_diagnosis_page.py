@@ -29,12 +29,15 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
-            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside"} == set(found)
+            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside",
+            "within_tolerance"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97]}
     assert found["remainder"] == {"joint": 1, "channel": "torque1", "depends_on": "q v"}
     assert found["immaterial"][0]["effect"] == "sensor_time_skew" and found["error"] == {"before": 3.0, "after": 1.2}
+    assert found["within_tolerance"][0] == {"effect": "gyro_scale", "joint": None, "name": "scale_error", "unit": "1",
+                                            "value": 0.0088, "tolerance": 0.01}
     assert found["schema"] == "legid.diagnosis/1" and found["stability"] == pytest.approx(2.0 / 3.0)
     assert found["rotations"][2] == {"confirm_runs": ["r2.csv"], "falls": False,
                                      "sizes": {"stribeck_friction@2.excess_torque": 0.0522}}

@@ -1,0 +1,56 @@
+"""`SmallFault`: what is likeliest wrong with a sensor within its tolerance; readings without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from daq import FloatArray
+from estimator.effects import Effect
+from estimator.likelihood import LatentProblem, State
+from estimator.score import SensorFaults
+from estimator.signals import Channel, SignalSet, imu_channels, imu_columns
+
+
+class SmallFault(NamedTuple):
+    """An effect on what a sensor reads, with its likeliest size."""
+
+    effect: Effect
+    size: FloatArray
+    """Its sizes."""
+    tolerance: FloatArray
+    """Of each of its sizes, 1 sigma."""
+
+
+def small_faults(sensors: SensorFaults, sizes: FloatArray) -> list[SmallFault]:
+    """Faults of the `sensors` with these `sizes` (k,)."""
+    return [SmallFault(sensors.candidates[i].effect, size, tolerance) for i, size, tolerance in
+            zip(sensors.which, sensors.parts(sizes), sensors.parts(sensors.tolerances), strict=True)]
+
+
+def without_faults(signals: Sequence[SignalSet], problem: LatentProblem, state: State, faults: Sequence[SmallFault]
+                   ) -> list[SignalSet]:
+    """Segments of `problem` with what the `faults` add at the motion in `state` taken off their readings."""
+    view = replace(problem.view(state.x, state.beta[: problem.mechanism.p]), measured=problem.record)
+    added: dict[Channel, FloatArray] = {}
+    for one in faults:
+        for channel, values in one.effect.perturb(view, one.size).readings.items():
+            added[channel] = added.get(channel, 0.0) + values
+    edges = [0, *map(int, problem.ends)]
+    return [_less(s, problem, {channel: values[a:b] for channel, values in added.items()})
+            for s, a, b in zip(signals, edges, edges[1:], strict=False)]
+
+
+def _less(signals: SignalSet, problem: LatentProblem, added: Mapping[Channel, FloatArray]) -> SignalSet:
+    angles, torque, imu = signals.angles.copy(), signals.torque.copy(), dict(signals.imu)
+    places = {channel: name for k in range(len(problem.mechanism.imus))
+              for channel, name in zip(imu_channels(k), imu_columns(k), strict=True)}
+    for channel, values in added.items():
+        if channel.kind == "encoder":
+            angles[:, channel.joint or 0] -= values
+        elif channel.kind == "torque":
+            torque[:, channel.joint or 0] -= values
+        elif channel in places:
+            imu[places[channel]] = imu[places[channel]] - values
+    return replace(signals, angles=angles, torque=torque, imu=imu)
