@@ -199,19 +199,22 @@ class _Equations(NamedTuple):
     def judged(self) -> tuple[FloatArray, FloatArray, float]:
         """(p + constants,) all parameters, their standard deviations, and the typical share of a window.
 
-        The share is by the parameters of the other `FOLDS` - 1 parts of the records.
+        The share is by the parameters of the other `FOLDS` - 1 parts of the records, whose scatter is the least
+        standard deviation (jackknife): a record of little motion says less of a parameter than its noise does.
         """
         size = np.einsum("wncc->wnc", self.grams).sum(axis=1)
         leverage = np.mean(size / [usual(column) for column in size.T], axis=1)
         weights = bounded(lambda w: self.shares(self.solved(w)[0]) ** 2, leverage)
         found, spread = self.solved(weights)
-        held = np.zeros(len(self.grams))
+        held, by_others = np.zeros(len(self.grams)), []
         for part in np.array_split(np.arange(len(held)), FOLDS):
             others = weights.copy()
             others[part] = 0.0
-            held[part] = self.shares(self.solved(others)[0])[part]
+            by_others.append(self.solved(others)[0])
+            held[part] = self.shares(by_others[-1])[part]
+        variance = np.maximum(np.diag(spread), (FOLDS - 1) * np.var(by_others, axis=0))
         beta, std = self.start.copy(), np.zeros(len(self.start))
-        beta[self.free], std[self.free] = found, np.sqrt(np.maximum(np.diag(spread), 0.0))
+        beta[self.free], std[self.free] = found, np.sqrt(np.maximum(variance, 0.0))
         return beta, std, typical(held, self.grams[:, :, -1, -1].sum(axis=1))
 
 
