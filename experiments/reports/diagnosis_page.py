@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from experiments.reports.diagnosis_json import untestable
 from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,
+    PARAMETERS,
     ROTATION_HEADER,
     answer_words,
     budget_rows,
@@ -41,6 +42,7 @@ from experiments.reports.diagnosis_text import (
     gap_text,
     hold_words,
     key_label,
+    parameter_rows,
     probability,
     rotation_rows,
     rotation_words,
@@ -51,7 +53,6 @@ from experiments.reports.diagnosis_text import (
 )
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.next_step import next_step
-from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
 from experiments.reports.structure import structure_section
@@ -147,8 +148,8 @@ def _budget(found: Diagnosis) -> Section:
         turns.append(rotation_words(found))
         tables.append(Table(ROTATION_HEADER, rotation_rows(found), "every run held out once", frozenset({2})))
     return Section("What the error consists of", [budget_words(found), *turns, *where], tables,
-                   [Picture(waterfall(found.budget), "Mean squared free-run error beyond noise alone, from the nominal "
-                            "model to the extended one: the reduction by each cause, and the residual.")])
+                   [Picture(waterfall(found.budget), "Mean squared free-run error of the nominal model: what each "
+                            "cause takes away, what the extended model leaves beyond noise, and noise alone.")])
 
 
 def _about(cause: Cause) -> str:
@@ -267,35 +268,15 @@ def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
         return Section("Parameters")
     meanings = {p.name: [p.unit, p.meaning] for p in (mechanism.parameters if mechanism else ())}
     told = ["unit", "meaning"] if meanings else []
-    nominal = _with_std(found.nominal, found.nominal_std)
-    extended = _with_std(found.extended, found.extended_std)
-    rows = []
-    for name, (value, std) in nominal.items():
-        row = [name, number(value, std), _interval(value, std)]
-        if name in extended:
-            new, new_std = extended[name]
-            shift = f"{(new - value) / std:+.1f}" if 0 < std < float("inf") else ""
-            row += [number(new, new_std), _interval(new, new_std), shift]
-        rows.append([*row, *(meanings.get(name, ["", ""]) if meanings else [])])
-    header = ["parameter", "nominal", "95 % interval"]
-    if not extended:
-        if not any(row[2] for row in rows):
-            header, rows = header[:2], [[*row[:2], *row[3:]] for row in rows]
-        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset(range(1, len(header))))])
-    header += ["extended", "95 % interval", "shift / std"]
-    return Section(
-        "What the extension does to the parameters",
-        ["The nominal parameters absorb part of the missing effects. These shifts are their bias."],
-        [Table([*header, *told], rows, right=frozenset({1, 2, 3, 4, 5}))],
-        [Picture(shift_plot(nominal, extended), "Parameters of the extended model against those of the nominal one.")])
-
-
-def _with_std(values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    return {name: (value, std.get(name, float("inf"))) for name, value in values.items()}
-
-
-def _interval(value: float, std: float) -> str:
-    return normal(value, std).interval
+    header, rows = parameter_rows(found)
+    rows = [[*row, *(meanings.get(row[0], ["", ""]) if meanings else [])] for row in rows]
+    table = Table([*header, *told], rows, right=frozenset(range(1, len(header))))
+    if not found.extended:
+        return Section("Parameters", (), [table])
+    pairs = ({name: (value, std.get(name, float("inf"))) for name, value in values.items()}
+             for values, std in ((found.nominal, found.nominal_std), (found.extended, found.extended_std)))
+    return Section("What the extension does to the parameters", [PARAMETERS], [table],
+                   [Picture(shift_plot(*pairs), "Parameters of the extended model against those of the nominal one.")])
 
 
 def _next(found: Diagnosis) -> Section:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import Dataset, FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
+from experiments.provenance import Origin
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
-from experiments.reports.html import Picture, Section, Table, fold
+from experiments.reports.html import Picture, Section, Table, fold, write_page
 from experiments.reports.numbers import Estimate, number
+from experiments.reports.origin import origin_section
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
 from experiments.reports.residual_tests import (
     LAGS,
@@ -29,6 +32,7 @@ from experiments.reports.residual_tests import (
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
 from experiments.reports.sketch import sketch_pictures
+from experiments.reports.trust import fit_trust
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -55,6 +59,14 @@ def fit_summary(result: FitResult, model: str) -> str:
 def _sensors(result: FitResult) -> str:
     sensors = "IMU, knee encoder" if result.sensors == "imu" else "joint encoders"
     return f"{sensors} and torque" if result.mechanism.actuated else sensors.replace(", ", " and ")
+
+
+def write_fit(path: Path | str, result: FitResult, model: str, runs: Sequence[Dataset], origin: Origin) -> None:
+    """Write the page of a fit to `runs` by a mechanism called `model`. Raises `InputError` where that place cannot be
+    written."""
+    write_page(path, f"Fit of {model}: {', '.join(run.name for run in runs)}", fit_summary(result, model),
+               [*fit_sections(result), origin_section(origin, runs)], origin,
+               fit_trust(result).verdict(result.warnings))
 
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:

@@ -3,6 +3,7 @@ from .choices import choose_terms as choose_terms
 from .choices import with_choices as with_choices
 from .flags import RunFlag as RunFlag
 from .flags import contradictions as contradictions
+from .flags import for_page as for_page
 from .flags import require_one_rig as require_one_rig
 from .inputs import driven as driven
 from .prepare import Prepared as Prepared
@@ -11,6 +12,7 @@ from .prepare import as_datasets as as_datasets
 from .prepare import prepare as prepare
 from .prepare import unzeroed as unzeroed
 from .runs import damaged_runs as damaged_runs
+from .runs import faulty_readings as faulty_readings
 from .runs import load_runs as load_runs
 from .runs import require_whole as require_whole
 from .servo_law import needs_law as needs_law

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         model_with_origin,
         with_origin,
     )
-    from experiments.session import contradictions, prepare
+    from experiments.session import for_page, prepare
     from experiments.workflows import as_reference, diagnose_prepared, reference_values, with_reference_terms
 
     if args.against:
@@ -81,12 +81,12 @@ def run(args: argparse.Namespace) -> int:
         print(diagnosis_text(found), flush=True)  # before any file: a full disk must not take minutes of work with it
     if args.json:
         write_json(args.json, with_origin(
-            diagnosis_document(found, prepared.set_aside), origin, setup.datasets))
+            diagnosis_document(found, prepared.set_aside, setup.datasets), origin, setup.datasets))
     if args.html:
         from experiments.reports import write_diagnosis
 
         write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets, setup.mechanism,
-                        contradictions(prepared.flags))
+                        for_page(prepared.flags))
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:

@@ -29,10 +29,11 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
-            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside"} == set(found)
+            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside",
+            "readings"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
-                                  "ci95": [0.8, 0.97]}
+                                  "ci95": [0.8, 0.97], "of_error": 0.8, "of_error_ci95": [0.7, 0.87]}
     assert found["remainder"] == {"joint": 1, "channel": "torque1", "depends_on": "q v"}
     assert found["immaterial"][0]["effect"] == "sensor_time_skew" and found["error"] == {"before": 3.0, "after": 1.2}
     assert found["schema"] == "legid.diagnosis/1" and found["stability"] == pytest.approx(2.0 / 3.0)

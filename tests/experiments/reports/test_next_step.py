@@ -8,10 +8,9 @@ from dataclasses import replace
 import pytest
 
 from estimator import VERDICTS, Verdict
-from estimator.diagnosis import BudgetRow, Remainder
+from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
-from experiments.reports.diagnosis_figures import waterfall
 from experiments.reports.diagnosis_json import diagnosis_document
 from experiments.reports.diagnosis_text import diagnosis_text
 from experiments.reports.next_step import RECORD, SENSORS, next_step, variable_of
@@ -58,12 +57,3 @@ def test_commands_for_sensors_exist() -> None:
     for command in SENSORS.values():
         assert command.split()[1] in {"calibrate", "doctor"}
         assert options_of(command.split()[1]) is not None
-
-
-def test_a_share_of_many_times_the_error_is_a_number_and_no_bar() -> None:
-    rows = [BudgetRow("nominal", 1.0, (1.0, 1.0)), BudgetRow("cause", -51.8, (-60.0, -40.0), "backlash", 2),
-            BudgetRow("remainder", 0.4, (0.3, 0.5))]
-    svg = waterfall(rows)
-    assert "-5180 %, not to scale" in svg
-    ticks = [float(x.replace("−", "-")) for x in re.findall(r">([−-]?\d+)<", svg)]
-    assert max(map(abs, ticks)) < 1000

@@ -1,4 +1,4 @@
-"""Runs of little motion: no advice on signs that they do not show, no impossible precision, no fault without a reason."""
+"""Runs of little motion: no advice on signs that they do not show, no impossible precision, no fault without cause."""
 
 import json
 import re
