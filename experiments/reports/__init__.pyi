@@ -105,6 +105,7 @@ from .run_info import describe_mcap as describe_mcap
 from .run_info import recorded_readings as recorded_readings
 from .run_list import choose as choose
 from .run_list import list_runs as list_runs
+from .run_list import other_tables as other_tables
 from .run_list import runs_document as runs_document
 from .run_list import runs_text as runs_text
 from .trust import Trust as Trust

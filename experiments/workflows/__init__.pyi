@@ -42,6 +42,7 @@ from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
 from .robot import RobotReport as RobotReport
 from .robot import judge_robot as judge_robot
+from .simulate import plan_for as plan_for
 from .simulate import simulate_run as simulate_run
 from .tune import Tuning as Tuning
 from .tune import tune_runs as tune_runs
