@@ -40,7 +40,7 @@ from experiments.reports import (
     write_document,
     write_fit,
 )
-from experiments.session import Prepared, damaged_runs, for_page
+from experiments.session import Prepared, damaged_runs
 from experiments.workflows import Fitted, ValidationReport, write_validation
 from legid.tables import Shown, frame, html_table, paragraphs
 
@@ -286,9 +286,7 @@ class Diagnosis(Shown, PlainDiagnosis):
         did not give."""
         if self.prepared is None:
             raise WorkError("only a result of legid.diagnose has a page")
-        setup = self.prepared.setup
-        write_diagnosis(path, self, setup.settings.model, origin_from(sources_of(self.fitted)), setup.datasets,
-                        setup.mechanism, for_page(self.prepared.flags))
+        write_diagnosis(path, self, self.prepared, origin_from(sources_of(self.fitted)))
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.

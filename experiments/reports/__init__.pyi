@@ -84,6 +84,7 @@ from .investigation import step_text as step_text
 from .investigation_page import paint_errors as paint_errors
 from .investigation_page import write_investigation as write_investigation
 from .markdown import write_markdown as write_markdown
+from .next_step import Files as Files
 from .numbers import Estimate as Estimate
 from .numbers import estimates_of as estimates_of
 from .numbers import normal as normal

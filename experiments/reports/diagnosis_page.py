@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from daq import Dataset
 from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
@@ -51,26 +51,30 @@ from experiments.reports.diagnosis_text import (
     size_rows,
     size_text,
 )
+from experiments.reports.figures import on_paper
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
-from experiments.reports.next_step import next_step
+from experiments.reports.next_step import Files, next_step, with_names
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
 from experiments.reports.structure import structure_section
+from experiments.session import Prepared, for_page
 
+FLAT = 0.1
+"""Share of an effect's curve below which the nominal residual is flat next to it."""
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
 
 
-def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
-                    runs: Sequence[Dataset] = (), mechanism: Mechanism | None = None,
-                    warnings: Sequence[str] = ()) -> None:
-    """Write the page, with its source files and the meaning of its parameters, where they are known.
+def write_diagnosis(path: Path | str, found: Diagnosis, prepared: Prepared, origin: Origin,
+                    files: Files | None = None) -> None:
+    """Write the page of a diagnosis of the runs in `prepared`. The next step names `files`.
 
     Raises `InputError` where `path` cannot be written.
     """
-    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", confirm_words(found),
-               [*diagnosis_sections(found, mechanism), *([origin_section(origin, runs)] if origin else [])], origin,
-               verdict_box(found, warnings))
+    setup = prepared.setup
+    write_page(path, f"Diagnosis of {setup.settings.model}: {verdict_words(found.verdict)}", confirm_words(found),
+               [*diagnosis_sections(found, setup.mechanism), origin_section(origin, setup.datasets)], origin,
+               verdict_box(found, for_page(prepared.flags), files))
 
 
 def confirm_words(found: Diagnosis) -> str:
@@ -91,13 +95,13 @@ WORDS: dict[Verdict, str] = {
     "one_of": "one of several causes", "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}
 
 
-def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
+def verdict_box(found: Diagnosis, warnings: Sequence[str] = (), files: Files | None = None) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
     return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
                    [*filter(None, [found.sentence, answer_words(found)])],
                    [f"Warning: {text}" for text in (*warnings, *found.warnings)],
-                   f"Next step: {next_step(found)}")
+                   f"Next step: {with_names(next_step(found), files)}")
 
 
 def verdict_words(verdict: Verdict) -> str:
@@ -224,13 +228,16 @@ def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | N
 
 
 def _signatures(found: Diagnosis) -> Section:
-    limits = signature_limits(found.signatures)
+    seen = [s for s in found.signatures if float(np.max(np.abs(s.before))) > FLAT * float(np.max(np.abs(s.curve)))]
+    absorbed = [f"{key_label(s.title)}: the nominal parameters absorb it, so the residual has no signature of it."
+                for s in found.signatures if s not in seen]
+    limits = signature_limits(seen)
     pictures = [Picture(signature_plot(s, limits[s.x_label, s.y_label]),
                         f"{key_label(s.title)}: residual of the nominal model (mean and standard error of each bin), "
                         "the effect's law, and the residual of the extended model. The nominal parameters absorb part "
                         "of an effect, so their residual need not follow its curve.")
-                for s in found.signatures]
-    return Section("Signature", (), (), pictures)
+                for s in seen]
+    return Section("Signature", (), (), pictures, absorbed)
 
 
 def _traces(found: Diagnosis) -> Section:
@@ -238,13 +245,21 @@ def _traces(found: Diagnosis) -> Section:
         return Section("Before and after")
     first = found.traces[0]
     shown = [column for column in first.measured if column in first.before and column in first.after]
-    told = max(shown, key=lambda column: (column.startswith("q"), _excess(found, column)), default="")
-    seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
-    pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
-                        "and simulated by the nominal and by the extended model; below, simulated less measured.",
+    at = re.compile("|".join(rf"q{joint}_" for joint in _joints(found)) or r"(?!)")
+    told = max(shown, key=lambda column: (bool(at.match(column)), column.startswith("q"), _excess(found, column)),
+               default="")
+    paper = on_paper(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
+    pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}: measured, and simulated by the "
+                        f"nominal and by the extended model; below, simulated less measured.{paper}",
                         trace_chart(first, column), leads=column == told)
                 for column in shown]
     return Section("Simulation against measurement, before and after", (), (), pictures)
+
+
+def _joints(found: Diagnosis) -> list[int]:
+    """Joints from 1 at which the causes are, or the residual where none is named."""
+    joints = [cause.joint for cause in found.causes] or [found.remainder.joint if found.remainder else None]
+    return [joint for joint in joints if joint is not None]
 
 
 def _excess(found: Diagnosis, column: str) -> float:

@@ -8,7 +8,7 @@ from math import inf, isfinite, isinf
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
 from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
-from experiments.reports.next_step import next_step
+from experiments.reports.next_step import Files, next_step, with_names
 from experiments.reports.numbers import normal, number
 from experiments.reports.structure import HEADER as STRUCTURE_HEADER
 from experiments.reports.structure import USE, structure_rows, structure_words
@@ -210,8 +210,8 @@ def short_diagnosis_text(found: Diagnosis) -> str:
                         *([errors_on_held_out(found)] if found.sensors else [])])
 
 
-def diagnosis_text(found: Diagnosis) -> str:
-    """Text after `legid diagnose`: the verdict first."""
+def diagnosis_text(found: Diagnosis, files: Files | None = None) -> str:
+    """Text after `legid diagnose`: the verdict first. The next step names `files`."""
     blocks = ["\n".join(filter(None, [found.sentence, answer_words(found)]))]
     if found.structure is not None:
         blocks.append("\n".join([structure_words(found.structure), text_table(
@@ -244,7 +244,7 @@ def diagnosis_text(found: Diagnosis) -> str:
     blocks += [f"warning: {text}" for text in found.warnings]
     if found.next_experiment:
         blocks.append(f"Next experiment: {found.next_experiment}")
-    blocks.append(f"Next step: {next_step(found)}")
+    blocks.append(f"Next step: {with_names(next_step(found), files)}")
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in found.runs.items() if names)
     blocks.append(" ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(found), f"({found.wall_s:.0f} s)"])))
     return "\n\n".join(blocks)

@@ -116,7 +116,7 @@ def _sensors_section(result: FitResult) -> list[Section]:
     found = _first(result)
     if found is None:
         return []
-    path, part = found
+    path, _ = found
     pictures = []
     for column, measured in path.measured.items():
         if column not in path.predicted or not column.startswith(("gyro", "accel", "q")):
@@ -134,7 +134,7 @@ def _sensors_section(result: FitResult) -> list[Section]:
     if not pictures:
         return []
     title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
-    return [Section(f"{title}, measured against the estimate", [_excerpt(path, part)], pictures=pictures)]
+    return [Section(f"{title}, measured against the estimate", [f"Run {path.run}."], pictures=pictures)]
 
 
 def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
@@ -142,7 +142,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
     found = _first(result)
     if found is None:
         return []
-    path, part = found
+    path, _ = found
     other = _match(benchmark, path)
     pictures = []
     force = result.mechanism.force_unit
@@ -163,7 +163,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
                                       y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
-    return [Section("Torques", [_excerpt(path, part)], pictures=pictures)]
+    return [Section("Torques", [f"Run {path.run}."], pictures=pictures)]
 
 
 def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
@@ -201,13 +201,6 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
         if other.run == path.run and np.array_equal(other.time_s, path.time_s):
             return other
     return None
-
-
-def _excerpt(path: Trajectory, part: slice) -> str:
-    shown = float(path.time_s[part][-1] - path.time_s[0])
-    whole = float(path.time_s[-1] - path.time_s[0])
-    return (f"Run {path.run}. On paper, figures show the first {shown:.0f} of {whole:.0f} s."
-            if shown < whole - 0.5 else f"Run {path.run}.")
 
 
 def _residuals(result: FitResult) -> list[Section]:

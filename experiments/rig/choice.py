@@ -20,6 +20,8 @@ class ChosenRig:
     source: Source
     note: str
     """Which was taken, where none was given; else empty."""
+    file: str | None = None
+    """Its path; None where a run holds it."""
 
 
 def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> ChosenRig:
@@ -39,7 +41,7 @@ def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> Cho
         return ChosenRig(parse_rig(text, f"{name} (rig.toml inside)"), text_source(text, HERE, name),
                          f"rig: the one that {name} holds")
     path = rig_path(given)
-    return ChosenRig(load_rig(path), source_of(path), "" if given is not None else f"rig: ./{HERE}")
+    return ChosenRig(load_rig(path), source_of(path), "" if given is not None else f"rig: ./{HERE}", str(path))
 
 
 def rig_path(given: Path | str | None) -> Path | str:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator import Verdict
-from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis.result import Diagnosis, Remainder, SensorGain, ShortRuns
 from estimator.model import leg2
 from experiments.reports.diagnosis_figures import axis_label, signature_limits
 from experiments.reports.diagnosis_json import diagnosis_document
@@ -88,7 +88,7 @@ def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
 
 def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> None:
     head, rest = page[page.index("<body>"):].split("</header>")
-    assert head.count("<svg") == 1 and axis_label("q1_rad") in head  # 4.4 times the noise; q2: 3.3 times
+    assert head.count("<svg") == 1 and axis_label("q2_rad") in head  # the joint of the cause
     assert head.index("excess torque 0.05 N m") < head.index("Next step: Validate the extended model")
     assert rest.count("<h2>") == rest.count("<details>") == 13
 
@@ -182,3 +182,34 @@ def test_no_column_is_empty_and_no_two_candidates_are_called_alike() -> None:
     assert len(set(named)) == len(named) and "rotor_inertia, joint 1" in named
     (table,) = sections["Parameters"].tables
     assert list(table.header) == ["parameter", "nominal", "unit", "meaning"] and len(table.rows[0]) == 4
+
+
+def test_the_lead_figure_shows_the_joint_of_the_cause() -> None:
+    """It showed the joint of the largest error, the pivot of a leg whose knee has the cause."""
+    found = synthetic()
+    for joint in (1, 2):
+        moved = replace(found, causes=(replace(found.causes[0], joint=joint),))
+        (lead,) = [p for s in diagnosis_sections(moved) for p in s.pictures if p.leads]
+        assert lead.caption.startswith(f"q{joint}_rad in run")
+    unnamed = replace(found, causes=(), remainder=Remainder(1, "torque1", "q v"))
+    (lead,) = [p for s in diagnosis_sections(unnamed) for p in s.pictures if p.leads]
+    assert lead.caption.startswith("q1_rad")
+
+
+def test_a_caption_says_what_paper_shows_and_a_flat_signature_is_no_picture() -> None:
+    found = synthetic()
+    trace = found.traces[0]
+    long = replace(trace, time_s=np.linspace(0.0, 20.0, trace.time_s.size))
+    captions = [p.caption for s in diagnosis_sections(replace(found, traces=(long,))) for p in s.pictures]
+    assert any(c.endswith("On paper, the first 12 of 20 s.") for c in captions)
+    assert not any("12 s:" in c for c in captions)
+    flat = replace(found.signatures[0], before=0.01 * found.signatures[0].curve)
+    section = next(s for s in diagnosis_sections(replace(found, signatures=(flat, found.signatures[1])))
+                   if s.title == "Signature")
+    assert len(section.pictures) == 1 and "absorb it" in section.notes[0]
+
+
+def test_the_text_has_the_corrected_parameters() -> None:
+    text = diagnosis_text(synthetic())
+    assert "These shifts are their bias." in text and "corrected" in text
+    assert re.search(r"beta1 +0\.1000 +\S+ \.\. \S+ +0\.1100", text)
