@@ -57,7 +57,7 @@ from experiments.reports.next_step import Files, next_step, with_names
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
 from experiments.reports.structure import structure_section
-from experiments.session import Prepared, for_page
+from experiments.session import Prepared, contradictions
 
 FLAT = 0.1
 """Share of an effect's curve below which the nominal residual is flat next to it."""
@@ -74,7 +74,7 @@ def write_diagnosis(path: Path | str, found: Diagnosis, prepared: Prepared, orig
     setup = prepared.setup
     write_page(path, f"Diagnosis of {setup.settings.model}: {verdict_words(found.verdict)}", confirm_words(found),
                [*diagnosis_sections(found, setup.mechanism), origin_section(origin, setup.datasets)], origin,
-               verdict_box(found, for_page(prepared.flags), files))
+               verdict_box(found, contradictions(prepared.flags), files))
 
 
 def confirm_words(found: Diagnosis) -> str:

@@ -3,7 +3,6 @@ from .choices import choose_terms as choose_terms
 from .choices import with_choices as with_choices
 from .flags import RunFlag as RunFlag
 from .flags import contradictions as contradictions
-from .flags import for_page as for_page
 from .flags import require_one_rig as require_one_rig
 from .inputs import driven as driven
 from .prepare import Prepared as Prepared

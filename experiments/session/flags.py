@@ -37,11 +37,6 @@ def contradictions(flags: Iterable[RunFlag]) -> list[str]:
     return [str(one) for one in flags if one.flag.kind == "rig"]
 
 
-def for_page(flags: Iterable[RunFlag]) -> list[str]:
-    """Those that stand at the head of a page: contradictions with the rig, and faulty readings."""
-    return [str(one) for one in flags if one.flag.kind in ("rig", "readings")]
-
-
 def require_one_rig(datasets: Sequence[Dataset]) -> None:
     """Raises `InputError` where two native runs were recorded on rigs that differ in what a model depends on."""
     first: Dataset | None = None
