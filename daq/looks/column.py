@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,11 @@ def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, Floa
                      np.arange(still.size))]
 
 
+def _moved(fault: ReadingFault, rows: NDArray[np.intp]) -> ReadingFault:
+    """A fault of the samples `rows` as one of all samples."""
+    return replace(fault, rows=tuple((int(rows[a]), int(rows[b])) for a, b in fault.rows))
+
+
 def _at_rows(fault: ReadingFault, known: NDArray[np.intp]) -> ReadingFault:
     rows = tuple((int(known[a]) + 1, int(known[b]) + 1) for a, b in fault.rows)
     return ReadingFault(fault.column, fault.what, rows, fault.size, fault.done,
@@ -179,7 +185,9 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
         again[places.start] = False
         text = f"{name} repeats each reading {times} times: it is sampled more slowly. The repeats are left out"
         faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
-        return _Found(np.where(again, np.nan, x), faults, none)
+        found, out, unknown = _jumps(name, time_s[~again], x[~again], where), np.full(x.size, np.nan), none.copy()
+        out[~again], unknown[~again] = found.x, found.unknown
+        return _Found(out, [*faults, *(_moved(fault, np.flatnonzero(~again)) for fault in found.faults)], unknown)
     if take_turns(x):
         raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
                          "other reading is near", "write each sender into a column of its own")

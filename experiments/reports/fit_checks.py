@@ -198,5 +198,6 @@ def _loose(result: FitResult) -> list[str]:
     for p, value, half in zip(result.mechanism.parameters, result.beta, result.shown_half_width):
         share = half / abs(value) if value else np.inf
         if p.name not in result.open_parameters and p.name not in result.fixed and share > PRECISE:
-            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if np.isfinite(share) else p.name)
+            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if share <= 1.0 else
+                         f"{p.name} ({p.meaning}), wider than its value" if np.isfinite(share) else p.name)
     return found

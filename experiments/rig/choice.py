@@ -48,5 +48,5 @@ def rig_path(given: Path | str | None) -> Path | str:
     """The path given, else ./rig.toml. Raises `InputError` where that is not there."""
     if given is None and not Path(HERE).is_file():
         raise InputError("--rig", f"is not given, no run contains a rig file, and there is no ./{HERE}",
-                         "give the rig's TOML file")
+                         f"give the rig's TOML file, or write it: legid init {HERE}")
     return HERE if given is None else given

@@ -34,7 +34,8 @@ def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Data
         if lost is None:
             return data
         text = lost_text(lost, float(data.time_s[lost.row]))
-        faults = tuple(ReadingFault(column, "lost", ((lost.row + 1, lost.row + 1),), float(lost.samples), "joined", text)
+        row = lost.row + 1
+        faults = tuple(ReadingFault(column, "lost", ((row, row),), float(lost.samples), "joined", text)
                        for column in lost.columns)
         data = replace(without_loss(data, lost), flags=(*data.flags, Flag("readings", text)),
                        readings=(*data.readings, *faults))

@@ -177,9 +177,14 @@ def _show_next(args: argparse.Namespace, target: Path) -> None:
     import shlex
     from pathlib import Path
 
+    from experiments.exchange import load_map, unscaled
+
     there = any(Path(file).suffix == ".csv" and Path(file).resolve().parent == Path(args.out).resolve()
                 for file in args.files)
     where = "runs" if there else args.out
     out = "" if where == "." else f" --out {shlex.quote(where)}"
     rate = "" if args.rate is None else f" --rate {args.rate:g}"
+    lacking = unscaled(load_map(target))
+    if lacking:
+        print(f"first write scale = N m per {lacking[1]}, gear included, under [columns.{lacking[0]}] in {target}")
     print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{rate}{out}")
