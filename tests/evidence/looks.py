@@ -23,6 +23,7 @@ from daq.runs import RawTable, read_csv
 from daq.timing import align_table
 from estimator import FitError
 from experiments.reports import fit_trust
+from experiments.session import setup_of, with_lost_samples
 from experiments.studies import machine
 from experiments.workflows import fit_runs
 from tests.evidence.kept import kept
@@ -47,9 +48,12 @@ def found_in_healthy(family: str, seed: int) -> tuple[int, list[str]]:
     """Runs of one healthy leg, and what the looks found in their readings."""
     rng = np.random.default_rng([seed, list(FAMILIES).index(family)])
     with tempfile.TemporaryDirectory() as folder:
-        runs = FAMILIES[family].make(HEALTHY, rng, Path(folder)).runs
-    return len(runs), [f"{run.name}: {fault}" for run in runs
-                       for fault in (*run.readings, *look(run.time_s, run.columns).faults)]
+        leg = FAMILIES[family].make(HEALTHY, rng, Path(folder))
+    setup = setup_of(leg.runs, leg.rig)
+    moved = with_lost_samples(setup.datasets, setup.mechanism, setup.options)
+    return len(leg.runs), [*(f"{run.name}: {fault}" for run in leg.runs
+                             for fault in look(run.time_s, run.columns).faults),
+                           *(f"{run.name}: {fault}" for run in moved for fault in run.readings)]
 
 
 def found_in_records(folder: Path) -> tuple[int, list[str]]:
