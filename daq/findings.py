@@ -8,7 +8,7 @@ from typing import Literal
 DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
 FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock",
                    "readings"]
-FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal"]
+FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal", "standstill", "lost"]
 RemedyKind = Literal["left_out", "unwrapped", "joined", "kept"]
 
 

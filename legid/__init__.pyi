@@ -30,6 +30,7 @@ from .listings import Comparison as Comparison
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation
 from .listings import Gains as Gains
+from .listings import Guess as Guess
 from .listings import Tuning as Tuning
 from .results import Dataset as Dataset
 from .results import Diagnosis as Diagnosis
@@ -38,5 +39,7 @@ from .results import Validation as Validation
 from .results import Validations as Validations
 from .tools import effects as effects
 from .tools import excite as excite
+from .tools import export as export
 from .tools import gains as gains
+from .tools import guess as guess
 from .tools import read as read

@@ -46,7 +46,7 @@ from experiments.reports import (
     source_of,
 )
 from experiments.rig import confirm_estop, confirm_motion
-from experiments.session import damaged_runs, load_runs, prepare
+from experiments.session import load_runs, prepare
 from experiments.workflows import (
     Asked,
     as_reference,
@@ -151,10 +151,10 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
     given, known = _given(runs, rig)
     prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
     files = sources_of(given)
-    found = validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s))
+    found = validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s), True)
     if simulator == "mujoco":
         found = validate_in_mujoco(model, found, "the model")
-    return Validations.of(found, files)
+    return Validations.of(found, files, model)
 
 
 @overload
@@ -224,7 +224,7 @@ def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | No
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     given, known = _given(runs, rig)
     found = compare_models((a, b), names, given, known, sensors, _lengths(horizons_s))
-    return Comparison(found, damaged_runs([run for run in given if run.name in found.runs]), sources_of(given))
+    return Comparison(found, given, sources_of(given), a.mechanism.model)
 
 
 def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,

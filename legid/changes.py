@@ -17,17 +17,20 @@ from experiments.reports import (
     investigation_document,
     investigation_text,
     line_text,
+    origin_from,
     sessions_document,
     source_of,
     step_text,
     watch_document,
     watch_summary,
+    write_change,
     write_document,
+    write_watch,
 )
 from experiments.reports import Investigation as PlainInvestigation
 from experiments.session import damaged_runs
 from experiments.workflows import ChangeFound
-from legid.tables import frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,8 +39,8 @@ if TYPE_CHECKING:
     from experiments.reports import Step
 
 
-@dataclass(frozen=True)
-class Change:
+@dataclass(frozen=True, repr=False)
+class Change(Shown):
     """Change between two sessions of a rig."""
 
     found: ChangeFound
@@ -70,6 +73,11 @@ class Change:
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, self.sources[1] if self.reference else (*self.sources[0], *self.sources[1]))
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid diagnose --against --html`, or of `legid compare`. Raises `InputError`."""
+        origin = origin_from(self.sources[1] if self.reference else (*self.sources[0], *self.sources[1]))
+        write_change(path, [(self.names, self.plain)], origin, self.found.datasets)
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect, with the
@@ -111,8 +119,8 @@ class Change:
             [f"Warning: {text}" for text in self.plain.warnings])
 
 
-@dataclass(frozen=True)
-class Watching:
+@dataclass(frozen=True, repr=False)
+class Watching(Shown):
     """Runs of a rig, each tested for a change since the reference runs."""
 
     lines: tuple[Watched, ...]
@@ -137,6 +145,10 @@ class Watching:
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, self.sources[1])
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid watch --html`. Raises `InputError`."""
+        write_watch(path, self.lines, self.false_alarms, origin_from(self.sources[1]))
 
     def to_frame(self) -> DataFrame:
         """One row a run: state, motion [s], end of the block with the alarm [s], likeliest change, false alarms per
@@ -165,8 +177,8 @@ class Watching:
         return paragraphs(str(self).splitlines())
 
 
-@dataclass(frozen=True)
-class Investigation:
+@dataclass(frozen=True, repr=False)
+class Investigation(Shown):
     """Recordings and diagnoses of a rig, step by step, until one cause stood or the investigation ended otherwise."""
 
     plain: PlainInvestigation

@@ -8,15 +8,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq import Column, write_file
+from daq import Dataset as PlainDataset
 from daq.recording import Plan
+from experiments.exchange import Guess as PlainGuess
+from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
 from experiments.models import Gains as PlainGains
 from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
+from experiments.reports import (
+    GUESS_HEADER,
+    Source,
+    comparison_document,
+    comparison_text,
+    comparison_trust,
+    guess_rows,
+    guess_section,
+    guess_table,
+    guess_verdict,
+    origin_from,
+    write_comparison,
+    write_document,
+    write_page,
+)
 from experiments.reports import Comparison as PlainComparison
-from experiments.reports import Source, comparison_document, comparison_text, comparison_trust, write_document
+from experiments.session import damaged_runs
 from experiments.workflows import Tuning as PlainTuning
 from experiments.workflows import tuning_document, tuning_rows, tuning_text
-from legid.tables import frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,8 +44,8 @@ if TYPE_CHECKING:
     from daq import Rig
 
 
-@dataclass(frozen=True)
-class Gains:
+@dataclass(frozen=True, repr=False)
+class Gains(Shown):
     """Feedforward and PD gains of a model, with their margins."""
 
     found: PlainGains
@@ -55,8 +74,52 @@ class Gains:
         return html_table(["gain", "value", "unit", "meaning"], gain_rows(self.found))
 
 
-@dataclass(frozen=True)
-class Effects:
+@dataclass(frozen=True, repr=False)
+class Guess(Shown):
+    """The columns of another program's file as `legid import --guess` guesses them."""
+
+    found: PlainGuess
+    file: str
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """The map, which `read` takes."""
+        return self.found.columns
+
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """Columns that no unit and sign makes fit, in words; with any, correct the map before you use it."""
+        return tuple(self.found.unexplained)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Points to be looked at before the guess is used."""
+        return tuple(self.found.warnings)
+
+    def write(self, path: Path | str) -> None:
+        """Write the map as COLUMNS.toml. Raises `InputError` where that place cannot be written."""
+        write_file(Path(path), guess_text(self.found.columns, self.found.notes).encode(), changed=True)
+
+    def page(self, path: Path | str) -> None:
+        """Write the page by which to judge it. Raises `InputError`."""
+        write_page(path, f"Columns of {self.file}", "A guess: look at it before it is used.",
+                   [guess_section(self.found, self.file)], verdict=guess_verdict(self.found))
+
+    def to_frame(self) -> DataFrame:
+        """One row a column: the file's column, unit, sign, reason. Raises `WorkError` without pandas."""
+        rows = guess_rows(self.found)
+        return frame({name: [row[k] for row in rows] for k, name in enumerate(GUESS_HEADER)}, GUESS_HEADER[0])
+
+    def __str__(self) -> str:
+        return f"{guess_verdict(self.found).title}\n\n{guess_table(self.found)}"
+
+    def _repr_html_(self) -> str:
+        notes = [f"Warning: {text}" for text in (*self.found.unexplained, *self.found.warnings)]
+        return html_table(GUESS_HEADER, guess_rows(self.found)) + paragraphs(notes)
+
+
+@dataclass(frozen=True, repr=False)
+class Effects(Shown):
     """The library of effects that a diagnosis can name."""
 
     @property
@@ -87,8 +150,8 @@ class Effects:
         return html_table(["effect", "meaning", "best shown by"], rows)
 
 
-@dataclass(frozen=True)
-class Excitation:
+@dataclass(frozen=True, repr=False)
+class Excitation(Shown):
     """A torque plan, and what it is predicted to tell where a prior model designed it."""
 
     plan: Plan
@@ -123,8 +186,8 @@ class Excitation:
         return paragraphs(str(self).splitlines())
 
 
-@dataclass(frozen=True)
-class Tuning:
+@dataclass(frozen=True, repr=False)
+class Tuning(Shown):
     """Entries of a rig file that predict its records best, and what else was tried."""
 
     found: PlainTuning
@@ -170,24 +233,31 @@ class Tuning:
         return head + paragraphs(flags)
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """Two models on the same runs: parameters, free-run errors over horizons, and which one is better."""
 
     found: PlainComparison
-    damaged: list[dict[str, str]]
-    """Runs that were damaged, and what is missing of them."""
+    runs: tuple[PlainDataset, ...] = ()
+    """What was given."""
     sources: tuple[Source, ...] = ()
     """The run files."""
+    mechanism: str = ""
+    """Name of the models' mechanism."""
 
     @property
     def document(self) -> dict[str, Any]:
         """`legid.comparison/1`, as `legid compare --json` writes it."""
-        return {**comparison_document(self.found), "damaged": self.damaged}
+        used = [run for run in self.runs if run.name in self.found.runs]
+        return {**comparison_document(self.found), "damaged": damaged_runs(used)}
 
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, self.sources)
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid compare --html`. Raises `InputError`."""
+        write_comparison(path, self.found, self.mechanism, self.runs, origin_from(self.sources))
 
     @property
     def trust(self) -> str:

@@ -20,22 +20,29 @@ from daq import Rig, WorkError
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import Validation as PlainValidation
+from experiments.models import Model
 from experiments.reports import (
     PARAMETER_HEADER,
     Source,
     agreement_lines,
     diagnosis_document,
     error_rows,
+    errors_text,
     fit_trust,
     gap_text,
+    origin_from,
     parameter_rows,
+    parameter_text,
+    short_diagnosis_text,
     size_rows,
     validation_rows,
+    write_diagnosis,
     write_document,
+    write_fit,
 )
 from experiments.session import Prepared, damaged_runs
-from experiments.workflows import Fitted, ValidationReport
-from legid.tables import frame, html_table, paragraphs
+from experiments.workflows import Fitted, ValidationReport, write_validation
+from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,8 +62,8 @@ def sources_of(runs: Sequence[PlainDataset]) -> tuple[Source, ...]:
     return tuple(run.source for run in runs if isinstance(run, Dataset) and run.source is not None)
 
 
-@dataclass(frozen=True)
-class Dataset(PlainDataset):
+@dataclass(frozen=True, repr=False)
+class Dataset(Shown, PlainDataset):
     """One run on a uniform grid: columns of contract names in SI units, NaN where a sample is missing."""
 
     rig: Rig | None = None
@@ -74,6 +81,10 @@ class Dataset(PlainDataset):
 
         return dataset_figure(self)
 
+    def __str__(self) -> str:
+        return (f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {len(self) / self.rate_hz:.1f} s, columns "
+                f"{', '.join(self.columns)}")
+
     def _repr_html_(self) -> str:
         rows = []
         for name, values in self.columns.items():
@@ -85,8 +96,8 @@ class Dataset(PlainDataset):
                 + html_table(["column", "smallest", "mean", "largest", "missing"], rows))
 
 
-@dataclass(frozen=True)
-class FitResult(PlainFit):
+@dataclass(frozen=True, repr=False)
+class FitResult(Shown, PlainFit):
     """Identified parameters with their covariance, noise levels and the motion that they came with."""
 
     runs: tuple[PlainDataset, ...] = ()
@@ -105,6 +116,14 @@ class FitResult(PlainFit):
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, sources_of(self.runs))
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid fit --html`. Raises `InputError`, and `WorkError` for a result that `fit` did not
+        give."""
+        if self.fitted is None:
+            raise WorkError("only a result of legid.fit has a page")
+        setup = self.fitted.setup
+        write_fit(path, self, setup.settings.model, setup.datasets, origin_from(sources_of(self.runs)))
 
     @property
     def trust(self) -> str:
@@ -135,6 +154,9 @@ class FitResult(PlainFit):
             raise WorkError(f"a fit by {self.method} has no motion to draw; use method=\"mle\"")
         return fit_figure(self)
 
+    def __str__(self) -> str:
+        return f"{self.trust}\n\n{parameter_text(self)}"
+
     def _repr_html_(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
         notes = [f"This data does not determine {name}." for name in self.undetermined]
@@ -145,8 +167,8 @@ class FitResult(PlainFit):
                 + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
 
 
-@dataclass(frozen=True)
-class Validation(PlainValidation):
+@dataclass(frozen=True, repr=False)
+class Validation(Shown, PlainValidation):
     """One gap-free segment of one run: measured against simulated from its first state and torque alone."""
 
     def to_frame(self) -> DataFrame:
@@ -162,22 +184,27 @@ class Validation(PlainValidation):
 
         return validation_figure([self])
 
+    def __str__(self) -> str:
+        errors = ", ".join(f"{name} {value:.4g}" for name, value in self.rmse.items())
+        return f"{self.run}: {self.horizon_s:.1f} s simulated, rms errors {errors}"
+
     def _repr_html_(self) -> str:
         return Validations([self])._repr_html_()
 
 
-class Validations(list[Validation]):
+class Validations(Shown, list[Validation]):
     """A list of `Validation`, one a gap-free segment, that shows itself as a table."""
 
     report: ValidationReport | None = None
     """What `validate` found, with its trust, horizons and the runs set aside."""
     sources: tuple[Source, ...] = ()
+    model: Model | None = None
 
     @classmethod
-    def of(cls, report: ValidationReport, sources: tuple[Source, ...] = ()) -> Validations:
-        """Validations of the runs of `sources`."""
+    def of(cls, report: ValidationReport, sources: tuple[Source, ...] = (), model: Model | None = None) -> Validations:
+        """Validations of `model` on the runs of `sources`."""
         made = cls(dressed(Validation, one) for one in report.validations)
-        made.report, made.sources = report, sources
+        made.report, made.sources, made.model = report, sources, model
         return made
 
     @property
@@ -190,6 +217,21 @@ class Validations(list[Validation]):
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, self.sources)
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid validate --html`. Raises `InputError`, and `WorkError` for a list made by hand."""
+        if self.report is None or self.model is None:
+            raise WorkError("only a result of legid.validate has a page")
+        write_validation(path, self.report, self.model, "the model", origin_from(self.sources))
+
+    @property
+    def trust(self) -> str:
+        """Whether the model can simulate, and for how long: the first line of `legid validate`.
+
+        Raises `WorkError` for a list made by hand."""
+        if self.report is None:
+            raise WorkError("only a result of legid.validate has a first line")
+        return self.report.trust.sentence
 
     def to_frame(self) -> DataFrame:
         """One row a segment: run, seconds, whether it diverged, rms error by signal.
@@ -209,12 +251,18 @@ class Validations(list[Validation]):
             raise WorkError("no segment of these runs is long enough to be simulated; record for longer")
         return validation_figure(self)
 
+    def __str__(self) -> str:
+        if not self:
+            return "no segment was long enough"
+        table = errors_text(self)
+        return table if self.report is None else f"{self.trust}\n\n{table}"
+
     def _repr_html_(self) -> str:
         return html_table(*validation_rows(self)) if self else paragraphs(["no segment was long enough"])
 
 
-@dataclass(frozen=True)
-class Diagnosis(PlainDiagnosis):
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown, PlainDiagnosis):
     """Errors of the simulation, their causes, and the gain of extending the model."""
 
     fitted: tuple[PlainDataset, ...] = ()
@@ -227,11 +275,18 @@ class Diagnosis(PlainDiagnosis):
     def document(self) -> dict[str, Any]:
         """`legid.diagnosis/1`, as `legid diagnose --json` writes it."""
         aside, used = ((), ()) if self.prepared is None else (self.prepared.set_aside, self.prepared.setup.datasets)
-        return {**diagnosis_document(self, aside), "damaged": damaged_runs(used)}
+        return {**diagnosis_document(self, aside, used), "damaged": damaged_runs(used)}
 
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""
         write_document(path, self.document, sources_of(self.fitted))
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid diagnose --html`. Raises `InputError`, and `WorkError` for a result that `diagnose`
+        did not give."""
+        if self.prepared is None:
+            raise WorkError("only a result of legid.diagnose has a page")
+        write_diagnosis(path, self, self.prepared, origin_from(sources_of(self.fitted)))
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.
@@ -259,6 +314,9 @@ class Diagnosis(PlainDiagnosis):
         if self.verdict == "fit_failed":
             raise WorkError(self.sentence)
         return diagnosis_figure(self)
+
+    def __str__(self) -> str:
+        return short_diagnosis_text(self)
 
     def _repr_html_(self) -> str:
         parts = [paragraphs([f"{self.verdict}: {self.sentence}"])]

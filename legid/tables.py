@@ -12,6 +12,13 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+class Shown:
+    """A result whose `repr` is its name and the first line of what it prints."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
+
+
 def frame(columns: Mapping[str, Any], index: str | None = None) -> DataFrame:
     """`columns` as a DataFrame, one of them as its index. Raises `WorkError` where pandas is not installed."""
     try:

@@ -2,24 +2,92 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from daq import Column, InputError, Rig, load_rig
-from experiments.exchange import apply_map, check_map, load_map, read_imported
+from daq import Dataset as PlainDataset
+from experiments.exchange import (
+    apply_map,
+    check_map,
+    export_ros2,
+    export_run,
+    guess_map,
+    load_any_run,
+    load_map,
+    load_to_convert,
+    read_imported,
+    require_scales,
+)
 from experiments.excite import Band, Bench, Search, design, first_plan
 from experiments.models import Model, Tolerances, gains_of
-from legid.listings import Effects, Excitation, Gains
+from experiments.session import prepare, require_whole
+from experiments.workflows import OF_MODELS, OF_RUNS, Wanted, check_wanted, export_kind, export_model_as
+from legid.listings import Effects, Excitation, Gains, Guess
 from legid.results import Dataset, dressed
 
-__all__ = ["effects", "excite", "gains", "read"]
+__all__ = ["effects", "excite", "export", "gains", "guess", "read"]
 RigLike = Rig | Path | str
+Runs = PlainDataset | Sequence[PlainDataset]
 
 
-def read(file: Path | str, columns: Path | str | Mapping[str, Mapping[str, Any]], rate_hz: float | None = None,
+def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
+    """The columns of another program's file with units and signs, by names, gravity and the equation of motion.
+
+    `legid.read(file, guess.columns)` is then the run. A file without times has `rate_hz` rows a second. Raises
+    `InputError` for a file that cannot be read, or whose columns no name and no physics tells apart.
+    """
+    _check_rate(rate_hz)
+    return Guess(guess_map(read_imported(file), rate_hz=rate_hz), Path(file).name)
+
+
+def export(what: Model | PlainDataset | Path | str, out: Path | str, to: str | None = None, *,
+           rig: RigLike | None = None, starts: Runs = (), samples: int = 0, seed: int = 1, servo: str = ""
+           ) -> tuple[str, ...]:
+    """Write a model, or a run, in another format, as `legid export`; returns what the format does not hold, in words.
+
+    A run as csv, parquet or mat; a model as mjcf, urdf, mujoco or learning. `to` is by default what the ending of `out`
+    tells; mujoco and learning are folders. A run file goes to ros2, too, at its devices' own rates.
+
+    - `rig`: with urdf, whose limits the joints get; with `starts`, that of the runs; of a run file, its own.
+    - `starts`: with mujoco, runs whose first states leg.xml keeps; with learning, runs that measure what is lost.
+    - `samples`: with mujoco, so many models more, drawn by the joint covariance from `seed`. `servo`: with learning,
+      the actuator as BAM names it.
+
+    Raises `InputError` for what the format cannot hold or take.
+    """
+    kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed, servo=servo)
+    given = (starts,) if isinstance(starts, PlainDataset) else tuple(starts)
+    check_wanted(kind, wanted, bool(given))
+    if isinstance(what, Model) != (kind in OF_MODELS):
+        raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
+                         f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")
+    if isinstance(what, Model):
+        known = None if rig is None else _rig(rig)
+        if given:
+            own = known or getattr(given[0], "rig", None)
+            if own is None:
+                raise InputError(given[0].name, "was not loaded with a rig", "give the path of its rig.toml as rig")
+            wanted = replace(wanted, starts=prepare(given, own, beta=np.array(what.beta)))
+        elif known is not None:
+            wanted = replace(wanted, limits=known.limits)
+        return export_model_as(kind, what, "the model", out, wanted).notes
+    if kind == "ros2":
+        if isinstance(what, PlainDataset) or isinstance(rig, Rig):
+            raise InputError(str(out), "ros2 keeps the times of every device", "give the paths of run and rig file")
+        return tuple(export_ros2(what, rig, out).notes)
+    if not isinstance(what, PlainDataset):
+        what = load_any_run(what, rig, None) if isinstance(rig, Rig) else load_to_convert(what, rig, None)
+    export_run(require_whole(what), kind, out)
+    return ()
+
+
+def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[str, Any]], rate_hz: float | None = None,
          rig: RigLike | None = None) -> Dataset:
     """A file of another program as a run: columns (n,) in SI units on a uniform grid of `rate_hz`.
 
@@ -27,8 +95,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Mapping[str, Any]]
     `{"q2_rad": {"name": "angle", "unit": "deg"}}`. The default of `rate_hz` is the slowest signal's. A `rig` makes the
     run one that `fit` takes without another word. Raises `InputError` naming file and column.
     """
-    if rate_hz is not None and not 0.0 < rate_hz < 1e6:
-        raise InputError("rate_hz", f"{rate_hz:g} is not a rate in Hz", "give samples per second")
+    _check_rate(rate_hz)
     if isinstance(columns, Mapping):
         try:
             known = check_map(msgspec.convert(dict(columns), dict[str, Column]), "columns")
@@ -36,6 +103,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Mapping[str, Any]]
             raise InputError("columns", str(error), "see docs/exchange.md") from None
     else:
         known = load_map(columns)
+    require_scales(known, "columns")
     run = apply_map(read_imported(file), known, rate_hz)
     return dressed(Dataset, run, rig=None if rig is None else _rig(rig))
 
@@ -82,6 +150,12 @@ def excite(rig: RigLike, model: Model | None = None, *, seconds: float = 20.0, l
     found = design(Bench(model, known, "the model", doubt), Band(seconds, low_hz or 0.0, high_hz),
                    Search(margin, criterion, tries, steps, seed), progress)
     return Excitation(found.best.plan, found, known)
+
+
+def _check_rate(rate_hz: float | None) -> None:
+    """Raises `InputError` for what is no rate [Hz]."""
+    if rate_hz is not None and not 0.0 < rate_hz < 1e6:
+        raise InputError("rate_hz", f"{rate_hz:g} is not a rate in Hz", "give samples per second")
 
 
 def _rig(rig: RigLike) -> Rig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,10 @@ from daq.errors import InputError
 from daq.findings import ReadingFault
 from daq.looks.jumps import find_jumps, held_before, take_turns, unwrapped
 from daq.looks.plateaus import flat_tops, frozen_noise, plateaus_of, repeats
+from daq.looks.standstill import stands_under_torque
 
 ANGLE = re.compile(r"q\d+_(rad|m)|q2_motor_rad")
+ANGLE_OF_TORQUE = re.compile(r"q(\d+)_(?:rad|m)")
 TORQUE = re.compile(r"tau\d+_(nm|n)|tau2_shunt_nm")
 IMU = re.compile(r"gyro\d*_radps|accel\d*_[xy]_mps2")
 PAUSE_PERIODS, AROUND_PAUSE = 1.5, 2
@@ -66,7 +69,36 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
         if found.unknown.any():
             left[name] = np.zeros(values.shape, bool)
             left[name][known[found.unknown]] = True
+    for name in out:
+        joint = ANGLE_OF_TORQUE.fullmatch(name)
+        torque = next((one for one in (f"tau{joint[1]}_nm", f"tau{joint[1]}_n") if one in out), "") if joint else ""
+        if torque:
+            faults += _standstills(time_s, name, torque, out, left)
     return Look(out, left, tuple(faults))
+
+
+def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, FloatArray],
+                 left: dict[str, NDArray[np.bool_]]) -> list[ReadingFault]:
+    """Standstills of an angle under its torque, which are then left out of `out`."""
+    known = np.flatnonzero(np.isfinite(out[name]) & np.isfinite(out[torque]))
+    places = stands_under_torque(time_s[known], out[name][known], out[torque][known]) if known.size > 1 else []
+    if not places:
+        return []
+    still = np.zeros(out[name].size, bool)
+    for start, stop in places:
+        still[known[start]:known[stop - 1] + 1] = True
+    out[name] = np.where(still, np.nan, out[name])
+    left[name] = left.get(name, np.zeros(still.size, bool)) | still
+    text = (f"{name} stands still in {{rows}}, though {torque} swings as where the joint moves: the joint is blocked, "
+            "or its encoder hangs. These samples are left out")
+    rows = tuple((int(known[start]), int(known[stop - 1])) for start, stop in places)
+    return [_at_rows(ReadingFault(name, "standstill", rows, float(still.sum()), "left_out", text),
+                     np.arange(still.size))]
+
+
+def _moved(fault: ReadingFault, rows: NDArray[np.intp]) -> ReadingFault:
+    """A fault of the samples `rows` as one of all samples."""
+    return replace(fault, rows=tuple((int(rows[a]), int(rows[b])) for a, b in fault.rows))
 
 
 def _at_rows(fault: ReadingFault, known: NDArray[np.intp]) -> ReadingFault:
@@ -153,7 +185,9 @@ def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> 
         again[places.start] = False
         text = f"{name} repeats each reading {times} times: it is sampled more slowly. The repeats are left out"
         faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
-        return _Found(np.where(again, np.nan, x), faults, none)
+        found, out, unknown = _jumps(name, time_s[~again], x[~again], where), np.full(x.size, np.nan), none.copy()
+        out[~again], unknown[~again] = found.x, found.unknown
+        return _Found(out, [*faults, *(_moved(fault, np.flatnonzero(~again)) for fault in found.faults)], unknown)
     if take_turns(x):
         raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
                          "other reading is near", "write each sender into a column of its own")

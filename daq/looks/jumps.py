@@ -49,33 +49,74 @@ class Jumps(NamedTuple):
 def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | None:
     """x (n,) without wraps, the range of the wraps, and the first sample behind each; None where x does not wrap.
 
-    A wrap leads from one end of the range to the other. Large jumps that do not are left to other looks.
+    A wrap leads from one end of the range to the other, or does so over a few wrong readings. Large jumps that do not
+    are left to other looks.
     """
-    steps, span = np.diff(x), float(np.ptp(x))
-    big = np.abs(steps) > SPAN_SHARE * span
-    at = np.flatnonzero(big)
-    if not at.size or big.all():
+    steps = np.diff(x)
+    middle = np.sort(np.stack([x[:-2], x[1:-1], x[2:]]), axis=0)[1]  # without single readings
+    ends = (float(middle.min()), float(middle.max())) if x.size > 2 else (0.0, 0.0)
+    big = np.abs(steps) > SPAN_SHARE * (ends[1] - ends[0])
+    if x.size < 5 or big.all():
         return None
     usual = float(np.percentile(np.abs(steps[~big]), RATE_SHARE))
-    smooth = np.where(big, 0.0, steps)
-    expected = 0.5 * (smooth[np.maximum(at - 1, 0)] + smooth[np.minimum(at + 1, steps.size - 1)])
-    jumps = steps[at] - expected
     change = CHANGES * float(np.percentile(np.abs(np.diff(steps[~big])), RATE_SHARE))
-    middle = np.sort(np.stack([x[:-2], x[1:-1], x[2:]]), axis=0)[1]  # without single readings
-    low = np.minimum(x[at], x[at + 1]) - middle.min()
-    high = middle.max() - np.maximum(x[at], x[at + 1])
-    for modulus in (*TURNS, float(np.median(np.abs(jumps)))):
-        slack = EDGE_STEPS * usual + EDGE_SHARE * modulus
-        off = np.abs(np.abs(jumps) - modulus)
-        fits = (off <= min(change + NEAR_TURN * modulus, slack)) & (np.abs(low) <= slack) & (np.abs(high) <= slack)
+    at = np.flatnonzero(big)
+    smooth = np.where(big, 0.0, steps)
+    jumps = steps[at] - 0.5 * (smooth[np.maximum(at - 1, 0)] + smooth[np.minimum(at + 1, steps.size - 1)])
+    for modulus in (*TURNS, *([float(np.median(np.abs(jumps)))] if at.size else [])):
+        limits = _Limits(modulus, EDGE_STEPS * usual + EDGE_SHARE * modulus, change + NEAR_TURN * modulus, ends)
+        if limits.slack > MOST_EDGE * modulus or ends[1] - ends[0] > modulus + limits.slack:
+            continue
+        fits = np.array([limits.wraps(jump, x[k], x[k + 1]) for k, jump in zip(at.tolist(), jumps)], bool)
         known, count = modulus in TURNS, int(fits.sum())
         few = count < (1 if known else UNKNOWN_WRAPS) or at.size - count > max(count, MOST_OTHERS)
-        if few or slack > MOST_EDGE * modulus or np.ptp(middle) > modulus + slack:
-            continue
         turned = np.zeros(x.size)
-        turned[at[fits] + 1] = np.sign(jumps[fits])
-        return x - modulus * np.cumsum(turned), modulus, at[fits] + 1
+        if not few:
+            turned[at[fits] + 1] = np.sign(jumps[fits])
+        elif not known:
+            continue
+        out, over = _over_isolated(x - modulus * np.cumsum(turned), x, limits, usual)
+        if not few or over:
+            return out, modulus, np.sort(np.concatenate([np.flatnonzero(turned), np.array(over, dtype=np.intp)]))
     return None
+
+
+class _Limits(NamedTuple):
+    """What makes a jump a wrap."""
+
+    modulus: float
+    slack: float
+    """How far from the ends of the range it may lead."""
+    off: float
+    """How far its size may be from the range."""
+    ends: tuple[float, float]
+
+    def wraps(self, jump: float, before: float, behind: float) -> bool:
+        """Whether a jump between two readings, beyond their rate, leads from one end to the other."""
+        low, high = min(before, behind) - self.ends[0], self.ends[1] - max(before, behind)
+        return (abs(abs(jump) - self.modulus) <= min(self.off, self.slack) and abs(low) <= self.slack
+                and abs(high) <= self.slack)
+
+
+def _over_isolated(y: FloatArray, x: FloatArray, limits: _Limits, usual: float) -> tuple[FloatArray, list[int]]:
+    """y (n,) without the wraps that have wrong readings of x in between, and the first good sample behind each."""
+    far = np.flatnonzero(np.abs(np.diff(y)) > max(EDGE_STEPS * usual, EDGE_SHARE * limits.modulus))
+    groups = np.split(far, np.flatnonzero(np.diff(far) > LONGEST_ISOLATED) + 1) if far.size else []
+    out, found = y.copy(), list[int]()
+    for group in groups:
+        last, behind = int(group[0]), int(group[-1]) + 1
+        if not 2 <= behind - last <= LONGEST_ISOLATED + 1 or last < 1 or behind > y.size - 2:
+            continue
+        own = 0.5 * (y[last] - y[last - 1] + y[behind + 1] - y[behind])
+        jump = y[behind] - y[last] - own * (behind - last)
+        if not limits.wraps(jump, x[last], x[behind]):
+            continue
+        out[behind:] -= np.sign(jump) * limits.modulus
+        line = np.linspace(out[last], out[behind], behind - last + 1)[1:-1]
+        between = out[last + 1:behind]
+        out[last + 1:behind] = between + limits.modulus * np.rint((line - between) / limits.modulus)
+        found.append(behind)
+    return out, found
 
 
 def find_jumps(x: FloatArray, apart: NDArray[np.bool_]) -> Jumps:

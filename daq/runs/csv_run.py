@@ -138,7 +138,8 @@ def _header_names(path: Path, header: str) -> list[str]:
     where = f"{path}, line 1"
     names = [cell.strip() for cell in _cells(where, header)]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
-        raise InputError(where, "is not comma separated", "write the file with commas between columns")
+        raise InputError(where, "is not comma separated: it is another program's file",
+                         f"run: legid import {path} --map columns.toml --guess")
     if len(names) > MOST_COLUMNS:
         raise InputError(where, f"names {len(names)} columns, {MOST_COLUMNS} are read", "keep those of the run alone")
     for name in names:

@@ -24,6 +24,10 @@ from .imu_faults import wrong_scale as wrong_scale
 from .imu_mount import MountFit as MountFit
 from .imu_mount import Readings as Readings
 from .imu_mount import fit_mount as fit_mount
+from .lost_samples import LostSamples as LostSamples
+from .lost_samples import find_lost as find_lost
+from .lost_samples import lost_text as lost_text
+from .lost_samples import without_loss as without_loss
 from .model_terms import needed_terms as needed_terms
 from .torque_constant import Holds as Holds
 from .torque_constant import TorqueConstant as TorqueConstant

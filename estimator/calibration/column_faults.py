@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -96,8 +96,8 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class _Motion:
-    """Filtered motion of all segments, thinned: (m, n) each, and the rows at which a segment ends."""
+class Motion:
+    """Filtered motion of all segments: (m, n) each, and the rows at which a segment ends."""
 
     q: FloatArray
     qd: FloatArray
@@ -106,10 +106,19 @@ class _Motion:
     ends: tuple[int, ...]
     rate_hz: float
 
+    def thinned(self) -> Motion:
+        """The same at the lowest rate that shows slow motion."""
+        thin = max(1, int(self.rate_hz / (OVERSAMPLED * slow_band(self.rate_hz))))
+        parts = [slice(a, b) for a, b in pairwise([0, *self.ends])]
+        q, qd, qdd, tau = (np.concatenate([x[part][::thin] for part in parts])
+                           for x in (self.q, self.qd, self.qdd, self.tau))
+        counts = [len(range(part.start, part.stop, thin)) for part in parts]
+        return Motion(q, qd, qdd, tau, tuple(np.cumsum(counts)), self.rate_hz / thin)
+
 
 def as_it_is(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Reading:
     """Least squares of the records as they are read now. Raises `FitError`."""
-    return _read(_filtered(datasets, mechanism, options), mechanism, options, _nothing(mechanism.n))
+    return _read(_filtered(datasets, mechanism, options), mechanism, options, nothing_changed(mechanism.n))
 
 
 def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
@@ -119,7 +128,7 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     On the IMU path the pivot's columns are not corrected: the accelerometer checks them. Raises `FitError`.
     """
     motion = _filtered(datasets, mechanism, options)
-    nothing = _read(motion, mechanism, options, _nothing(mechanism.n))
+    nothing = _read(motion, mechanism, options, nothing_changed(mechanism.n))
     imu = options.sensors == "imu"
     found = [_read(motion, mechanism, options, remedy)
              for remedy in _likely(mechanism, imu, gear_ratio, np.ptp(motion.q, axis=0))]
@@ -142,27 +151,35 @@ def _better(cured: Reading, nothing: Reading) -> bool:
     return CLEAR * cured.left < nothing.left
 
 
-def _nothing(n: int) -> Remedy:
+def nothing_changed(n: int) -> Remedy:
     return Remedy("", "", np.eye(n), np.zeros(n), np.eye(n), 0)
 
 
-def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> _Motion:
+def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Motion:
+    return filtered_motion(datasets, mechanism, options).thinned()
+
+
+def filtered_motion(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Motion:
+    """Filtered motion of all segments at their own rate. Raises `FitError`."""
     share = min(1.0, MOST_SAMPLES / max(sum(map(len, datasets)), 1))
     parts = [data.part(slice(0, max(int(share * len(data)), min(len(data), 200)))) for data in datasets]
     signals = split_signals(parts, mechanism, replace(options, hold="linear"))
     rate = signals[0].rate_hz
-    band = min(SLOW_HZ, 0.1 * rate)
-    thin = max(1, int(rate / (OVERSAMPLED * band)))
+    cutoff = min(4.0 * slow_band(rate), 0.4 * rate)
     segments = []
     for s in signals:
-        k = differentiate(s, mechanism, min(4.0 * band, 0.4 * rate), options.filter_order, fused=True)
-        tau = lowpass(s.torque, min(4.0 * band, 0.4 * rate), rate, options.filter_order)
-        segments.append([x[::thin] for x in (*k, tau)])
+        k = differentiate(s, mechanism, cutoff, options.filter_order, fused=True)
+        segments.append([*k, lowpass(s.torque, cutoff, rate, options.filter_order)])
     q, qd, qdd, tau = (np.concatenate(rows) for rows in zip(*segments))
-    return _Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in segments])), rate / thin)
+    return Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in segments])), rate)
 
 
-class _Equations(NamedTuple):
+def slow_band(rate_hz: float) -> float:
+    """Cutoff of slow least squares at this rate [Hz]."""
+    return min(SLOW_HZ, 0.1 * rate_hz)
+
+
+class Equations(NamedTuple):
     """tau = Z beta of all windows under one reading, with constants of the driven joints behind the parameters."""
 
     grams: FloatArray
@@ -199,19 +216,22 @@ class _Equations(NamedTuple):
     def judged(self) -> tuple[FloatArray, FloatArray, float]:
         """(p + constants,) all parameters, their standard deviations, and the typical share of a window.
 
-        The share is by the parameters of the other `FOLDS` - 1 parts of the records.
+        The share is by the parameters of the other `FOLDS` - 1 parts of the records, whose scatter is the least
+        standard deviation (jackknife): a record of little motion says less of a parameter than its noise does.
         """
         size = np.einsum("wncc->wnc", self.grams).sum(axis=1)
         leverage = np.mean(size / [usual(column) for column in size.T], axis=1)
         weights = bounded(lambda w: self.shares(self.solved(w)[0]) ** 2, leverage)
         found, spread = self.solved(weights)
-        held = np.zeros(len(self.grams))
+        held, by_others = np.zeros(len(self.grams)), []
         for part in np.array_split(np.arange(len(held)), FOLDS):
             others = weights.copy()
             others[part] = 0.0
-            held[part] = self.shares(self.solved(others)[0])[part]
+            by_others.append(self.solved(others)[0])
+            held[part] = self.shares(by_others[-1])[part]
+        variance = np.maximum(np.diag(spread), (FOLDS - 1) * np.var(by_others, axis=0))
         beta, std = self.start.copy(), np.zeros(len(self.start))
-        beta[self.free], std[self.free] = found, np.sqrt(np.maximum(np.diag(spread), 0.0))
+        beta[self.free], std[self.free] = found, np.sqrt(np.maximum(variance, 0.0))
         return beta, std, typical(held, self.grams[:, :, -1, -1].sum(axis=1))
 
 
@@ -221,8 +241,21 @@ def _squares(grams: FloatArray, found: FloatArray) -> FloatArray:
     return np.maximum(grams @ x @ x, 0.0)
 
 
-def _equations(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> _Equations | None:
-    """None where there are fewer windows than parts."""
+class SlowRows(NamedTuple):
+    """tau = Z beta of all samples, low-passed."""
+
+    parts: list[tuple[int, FloatArray]]
+    """First sample of each segment that is long enough, and (L, n, k + 1) its rows without their ends."""
+    free: NDArray[np.bool_]
+    """(p + constants,)"""
+    start: FloatArray
+    """(p + constants,)"""
+    length: int
+    """Samples a window."""
+
+
+def slow_rows(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> SlowRows:
+    """Rows of slow least squares under one reading, with constants of the driven joints behind the parameters."""
     q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
     constants = np.zeros((len(q), mechanism.n, len(mechanism.actuated)))
     for column, j in enumerate(mechanism.actuated):
@@ -235,22 +268,29 @@ def _equations(motion: _Motion, mechanism: Mechanism, options: FitOptions, remed
     start = np.append(np.where(free, 0.0, beta), np.zeros(constants.shape[2]))
     tau = motion.tau @ remedy.torques.T - z[:, :, ~mask] @ start[~mask]
     rows = np.concatenate([z[:, :, mask], tau[:, :, None]], axis=2)
-    band = min(SLOW_HZ, 0.1 * motion.rate_hz)
+    band = slow_band(motion.rate_hz)
     edge, length = int(0.5 * motion.rate_hz / band), int(PERIODS * motion.rate_hz / band)
-    windows = []
+    parts = []
     for where in np.split(np.arange(len(q)), motion.ends[:-1]):
         if len(where) > 2 * edge + length:
             slow = lowpass(rows[where], band, motion.rate_hz, options.filter_order)
-            windows.append(cut(slow[edge : len(where) - edge], length))
+            parts.append((int(where[0]) + edge, slow[edge : len(where) - edge]))
+    return SlowRows(parts, mask, start, length)
+
+
+def equations(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Equations | None:
+    """Equations of all windows under one reading; None where there are fewer windows than parts."""
+    rows = slow_rows(motion, mechanism, options, remedy)
+    windows = [cut(part, rows.length) for _, part in rows.parts]
     if sum(map(len, windows)) < FOLDS:
         return None
     every = np.concatenate(windows)
-    return _Equations(np.einsum("wlna,wlnb->wnab", every, every) / length, mask, start,
-                      max(1.0, 0.5 * motion.rate_hz / band), length)
+    return Equations(np.einsum("wlna,wlnb->wnab", every, every) / rows.length, rows.free, rows.start,
+                     max(1.0, 0.5 * motion.rate_hz / slow_band(motion.rate_hz)), rows.length)
 
 
-def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
-    rows = _equations(motion, mechanism, options, remedy)
+def _read(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
+    rows = equations(motion, mechanism, options, remedy)
     if rows is None:
         return Reading(remedy, 1.0, ("too short",))
     found, std, left = rows.judged()
@@ -262,7 +302,7 @@ def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray
     """The mistakes that people make, undone one by one and, where signs are concerned, together; `span` (n,) is how far
     each angle goes as it is read."""
     n, length = mechanism.n, mechanism.length_unit
-    nothing, eye = _nothing(n), np.eye(n)
+    nothing, eye = nothing_changed(n), np.eye(n)
     angles = list(range(int(imu), n))
     name = {("q", j): angle_column(mechanism, j) for j in range(n)} | {
         ("tau", j): torque_column(mechanism, j) if mechanism.force_unit != "V" else "duty" for j in range(n)}
@@ -319,7 +359,7 @@ def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray
                           write="subtract the angle of the link before from each before it is read", changes=2)
 
 
-def _best_gear(motion: _Motion, mechanism: Mechanism, options: FitOptions, joint: int, factors: FloatArray
+def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint: int, factors: FloatArray
                ) -> Reading | None:
     """The factor of one joint's angle that leaves least, by search; None where it is near one, or gravity is absent."""
     if mechanism.length_unit == "m" or mechanism.gravity_mps2 == 0.0:

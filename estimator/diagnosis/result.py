@@ -135,6 +135,10 @@ class BudgetRow:
     effect: str | None = None
     joint: int | None = None
     """1-based"""
+    of_error: float = 0.0
+    """Of the whole mean squared error: the rows but `nominal` add up to 1, and none is above it. A cause that raises
+    the error has none."""
+    of_error_ci95: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend, it
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.mle import describe_smoothing_velocity
-from estimator.fitting.next_measurement import CALIBRATED, Measurement, next_measurement
+from estimator.fitting.next_measurement import CALIBRATED, Measurement, body_unit, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken_torques
 from estimator.fitting.profile_likelihood import known_noise
@@ -34,6 +34,7 @@ __all__ = [
     "Policies",
     "SmallFault",
     "between_samples",
+    "body_unit",
     "converge_motion",
     "descend",
     "describe_smoothing_velocity",

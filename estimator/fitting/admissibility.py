@@ -40,16 +40,30 @@ def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArra
     step = max(1, len(q) // ANGLES)
     masses = [k for k, p in enumerate(mechanism.parameters) if p.term in ("inertia", "rotor")]
     known = bool(len(q)) and bool(np.isfinite(std[masses]).all())
-    least = np.linalg.eigvalsh(mechanism.inertia_matrix(q[::step], beta))[:, 0] if known else np.ones(1)
+    least = _sure_least(mechanism, beta, std, q[::step]) if known else np.ones(1)
     if least.min() <= 0.0:
         where = q[::step][int(np.argmin(least))]
         at = ", ".join(f"q{j + 1} = {x:.2f} {mechanism.length_unit}" for j, x in enumerate(where))
         found.append(f"the mass matrix is not positive definite (at {at}): no masses move like this")
     gravity = [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]
     lifted = [k for k in gravity if beta[k] < -SURE * std[k]]
-    if lifted and not any(beta[k] > SURE * std[k] for k in gravity):
+    heavy = any(beta[k] > SURE * std[k] for k in masses)  # one frequency alone cannot tell gravity from inertia
+    if lifted and heavy and not any(beta[k] > SURE * std[k] for k in gravity):
         found.append(f"gravity acts upwards ({_values(mechanism, beta, std, lifted)})")
     return (*found, *(text for text, motor in strange_lengths(mechanism, beta, std) if not motor))
+
+
+def _sure_least(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> FloatArray:
+    """(N,) upper limit of the mass matrix's smallest eigenvalue at the angles q (N, n): v' M v plus `SURE` standard
+    deviations, for the worst correlation of the parameters."""
+    values, vectors = np.linalg.eigh(mechanism.inertia_matrix(q, beta))
+    v = vectors[:, :, 0]
+    slack = np.zeros(len(q))
+    for k in np.flatnonzero(std > 0.0):
+        if mechanism.parameters[k].term in ("inertia", "rotor"):
+            one = mechanism.inertia_matrix(q, np.eye(mechanism.p)[k])
+            slack += SURE * std[k] * np.abs(np.einsum("ni,nij,nj->n", v, one, v))
+    return values[:, 0] + slack
 
 
 def strange_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> list[tuple[str, bool]]:

@@ -26,6 +26,8 @@ CALIBRATED = 0.1
 """Share of a tolerance that a calibration leaves."""
 ACCURACY = 0.01
 """Standard deviation of the measurement that is proposed, as a share of the value."""
+INSTRUMENTS = {"kg": 1e-4, "m": 1e-4, "kg m": 1e-6, "kg m^2": 1e-8}
+"""Unit -> finest `ACCURACY` that is proposed: that of a body of 10 g and 10 mm. No instrument gives less of a leg's."""
 WORTH = 0.9
 """A value that leaves the intervals of the others at more than this share of their width is not named."""
 
@@ -63,7 +65,8 @@ def next_measurement(result: FitResult) -> Measurement | None:
     """The most useful value to measure next; None where no single one is worth it, or the fit is none."""
     m = result.mechanism
     free = np.array([name not in result.fixed and name not in result.at_bound for name in m.names])
-    if not result.converged or result.method != "mle" or free.sum() < 2:
+    determined = {*m.names} - {*result.fixed, *result.at_bound} - result.open_parameters
+    if not result.converged or result.method != "mle" or free.sum() < 2 or not determined:
         return None
     scale = plausible_sizes(m, result.beta, result.std)
     now = _open(result, scale)
@@ -74,8 +77,9 @@ def next_measurement(result: FitResult) -> Measurement | None:
     if has_bodies(m):
         values |= {name: value for name, value in body_estimates(m, known, result.beta).items() if name not in known}
     for name, value in values.items():
+        unit = m.parameters[m.column(name)].unit if name in m.names else body_unit(name)
         std = ACCURACY * (scale[m.column(name)] if name in m.names else abs(value))
-        if not std > 0.0:
+        if not std > 0.0 or std < INSTRUMENTS.get(unit, 0.0):
             continue
         more = prior_at(m, {**known, name: (value, std)}, result.beta).information - before
         after = np.zeros_like(now)
@@ -89,6 +93,11 @@ def next_measurement(result: FitResult) -> Measurement | None:
     if best is None or (best.share > WORTH and best.undetermined[1] == best.undetermined[0]):
         return None
     return best
+
+
+def body_unit(name: str) -> str:
+    """Unit of the body value `name`."""
+    return {"m": "kg", "l": "m", "lc": "m", "I": "kg m^2"}[name.rstrip("0123456789")]
 
 
 def _calibrations(result: FitResult, now: FloatArray, scale: FloatArray, free: NDArray[np.bool_]

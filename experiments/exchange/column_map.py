@@ -67,11 +67,18 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
 
 def require_scales(columns: ColumnMap, where: str) -> None:
     """Raises `InputError` for a torque in amperes or counts without a scale: every parameter would be wrong by it."""
-    for name, column in columns.items():
-        if name.startswith("tau") and plain_unit(column.unit) in RAW and column.scale == 1.0:
-            raise InputError(f"{where}, columns.{name}", f"is in {column.unit} and has no scale",
-                             f"give scale, the torque at the joint per {column.unit}, gear included; or leave unit out "
-                             "if the column is in N m already")
+    lacking = unscaled(columns)
+    if lacking is not None:
+        name, unit = lacking
+        raise InputError(f"{where}, columns.{name}", f"is in {unit} and has no scale",
+                         f"give scale, the torque at the joint per {unit}, gear included; or leave unit out if the "
+                         "column is in N m already")
+
+
+def unscaled(columns: ColumnMap) -> tuple[str, str] | None:
+    """The first torque in amperes or counts without a scale, and its unit; None where there is none."""
+    return next(((name, column.unit) for name, column in columns.items()
+                 if name.startswith("tau") and plain_unit(column.unit) in RAW and column.scale == 1.0), None)
 
 
 def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:

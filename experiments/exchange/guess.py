@@ -26,9 +26,10 @@ import numpy as np
 from daq import Column, Dataset, FloatArray, InputError
 from daq.runs import IMU, unwrapped_counter
 from experiments.exchange.column_map import TIME, apply_map
-from experiments.exchange.guess_chain import driven_joints, find_chain
+from experiments.exchange.guess_chain import driven_joints, find_chain, same_joint
 from experiments.exchange.guess_joint import find_joint
-from experiments.exchange.guess_physics import Pose, find_imu, find_knee
+from experiments.exchange.guess_physics import Pose, find_imu
+from experiments.exchange.guess_rivals import Rivals, best_knee
 from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import BRACKETED, factor, unit_in_name
@@ -107,8 +108,11 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
         raise _lacking(imported, " and ".join(lacking), {kinds[name]: WORDS[name] for name in lacking})
     triads = {kind: _triad(imported, kind) for kind in ("gyro", "accel")}
     axes = [Column(name=name) for name in (*triads["gyro"], *triads["accel"])]
-    spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate([*axes, *rivals])}
-    raw = apply_map(imported, {**columns, **{spare[column.name]: column for column in (*axes, *rivals)}})
+    torques = [Column(name=name, unit=unit_in_name(name, "tau2_nm")) for name in _fitting(imported, "tau", True)
+               if name != columns["tau2_nm"].name][:MOST_RIVALS]
+    plain = [*axes, *rivals, *(Column(name=column.name) for column in torques)]
+    spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate(plain)}
+    raw = apply_map(imported, {**columns, **{spare[column.name]: column for column in plain}})
     warnings, unexplained = [], []
     pose: Pose | None = None
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
@@ -125,14 +129,8 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
     elif "q1_rad" not in columns:
         raise _lacking(imported, "a gyro and two axes of an accelerometer, or an angle of the pivot",
                        {kind: WORDS[kind] for kind in ("gyro", "accel")} | {"q1": WORDS["q1_rad"]})
-    knees = [find_knee(raw, columns, pose, gravity_mps2)]
-    for rival in rivals:
-        swapped = replace(raw, columns={**raw.columns, "q2_rad": raw[spare[rival.name]]})
-        knees.append(find_knee(swapped, {**columns, "q2_rad": rival}, pose, gravity_mps2))
-    knee = min(knees, key=lambda one: one.left)
-    if rivals:
-        left = (f"{one.columns['q2_rad'].name!r} leaves {100 * one.left:.0f} %" for one in knees)
-        notes["q2_rad"] = f"of the columns that may be the knee's angle: {', '.join(left)}"
+    knee, why = best_knee(raw, columns, Rivals(rivals, torques, spare), pose, gravity_mps2)
+    notes |= why
     columns |= knee.columns
     notes |= {name: "\n".join(filter(None, (notes.get(name, ""), text))) for name, text in knee.notes.items()}
     curves["tau2_nm: measured, and computed from the motion [N m]"] = knee.check
@@ -171,7 +169,8 @@ def _is_chain(imported: ImportedFile) -> bool:
     """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out, but
     a torso's."""
     angles, torques = _angles(imported), _fitting(imported, "tau", True)
-    some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
+    some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (
+        len(angles) > 2 or (len(torques) == 2 and not same_joint(angles, torques)))
     some |= 2 <= len(angles) <= MOST_LINKS and not _has(imported, "tau")
     return some and (not _has(imported, "gyro", "accel") or bool(re.search(TORSO, " ".join(angles), re.IGNORECASE)))
 

@@ -56,12 +56,24 @@ def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, in
     """Torque column -> joint from 0, by the words and numbers that its name shares with that of an angle."""
     if not torques:
         return {}
-    words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
-    common = set.intersection(*words[0]) if len(angles) > 1 else set()
-    shared = np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)
+    shared = _shared(angles, torques)
     order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(torques)), np.arange(len(angles))))
     rows, columns = linear_sum_assignment(-(shared + order))
     return {torques[int(row)]: int(column) for row, column in zip(rows, columns)}
+
+
+def same_joint(angles: Sequence[str], torques: Sequence[str]) -> bool:
+    """Whether two torque columns name one and the same joint: two readings of one torque."""
+    shared = _shared(angles, torques)
+    named = [int(np.argmax(row)) for row in shared if np.sum(row == row.max()) == 1 and row.max() > 0.0]
+    return len(set(named)) < len(named)
+
+
+def _shared(angles: Sequence[str], torques: Sequence[str]) -> FloatArray:
+    """(torques, angles) words and numbers that two names share, and not all angles have."""
+    words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
+    common = set.intersection(*words[0]) if len(angles) > 1 else set()
+    return np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)
 
 
 def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> Found:

@@ -215,6 +215,9 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """
     provenance: Provenance
 
+    def __repr__(self) -> str:
+        return f"<Model: {str(self).partition(chr(10))[0]}>"
+
     def __str__(self) -> str:
         """Mechanism, parameters and effects in a few lines; the document itself is JSON."""
         lines = [f"{self.mechanism.model}, fitted by {self.provenance.method} to {', '.join(self.provenance.runs)}",

@@ -18,6 +18,7 @@ from .comparison import comparison_text as comparison_text
 from .comparison import comparison_trust as comparison_trust
 from .comparison import horizon_errors as horizon_errors
 from .comparison_page import comparison_sections as comparison_sections
+from .comparison_page import write_comparison as write_comparison
 from .diagnosis_figures import error_bars as error_bars
 from .diagnosis_figures import signature_limits as signature_limits
 from .diagnosis_figures import signature_plot as signature_plot
@@ -35,6 +36,7 @@ from .diagnosis_text import diagnosis_text as diagnosis_text
 from .diagnosis_text import error_rows as error_rows
 from .diagnosis_text import gap_text as gap_text
 from .diagnosis_text import key_label as key_label
+from .diagnosis_text import short_diagnosis_text as short_diagnosis_text
 from .diagnosis_text import size_rows as size_rows
 from .figures import BLUE as BLUE
 from .figures import GREEN as GREEN
@@ -50,9 +52,11 @@ from .fit_json import model_of as model_of
 from .fit_page import fit_sections as fit_sections
 from .fit_page import fit_summary as fit_summary
 from .fit_page import truth_section as truth_section
+from .fit_page import write_fit as write_fit
 from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import parameter_rows as parameter_rows
+from .fit_text import parameter_text as parameter_text
 from .horizons import horizons_document as horizons_document
 from .horizons import horizons_section as horizons_section
 from .horizons import horizons_text as horizons_text
@@ -66,6 +70,7 @@ from .html import write_page as write_page
 from .import_picture import GUESS_HEADER as GUESS_HEADER
 from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
+from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict
 from .investigation import Ending as Ending
 from .investigation import Experiment as Experiment
@@ -79,6 +84,7 @@ from .investigation import step_text as step_text
 from .investigation_page import paint_errors as paint_errors
 from .investigation_page import write_investigation as write_investigation
 from .markdown import write_markdown as write_markdown
+from .next_step import Files as Files
 from .numbers import Estimate as Estimate
 from .numbers import estimates_of as estimates_of
 from .numbers import normal as normal
@@ -100,6 +106,7 @@ from .run_info import describe_mcap as describe_mcap
 from .run_info import recorded_readings as recorded_readings
 from .run_list import choose as choose
 from .run_list import list_runs as list_runs
+from .run_list import other_tables as other_tables
 from .run_list import runs_document as runs_document
 from .run_list import runs_text as runs_text
 from .trust import Trust as Trust
@@ -107,6 +114,7 @@ from .trust import fit_trust as fit_trust
 from .trust import model_contradictions as model_contradictions
 from .trust import validation_trust as validation_trust
 from .trust import with_fit_trust as with_fit_trust
+from .validation_page import errors_text as errors_text
 from .validation_page import validation_document as validation_document
 from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows

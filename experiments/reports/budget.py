@@ -66,6 +66,10 @@ def precision(result: FitResult) -> str:
     noise = [f"noise {_percent(parts['noise'] / value)}"] if parts["noise"] <= LEAST * half else []
     advice = next_measurement(result)
     first = f". Calibrate the {source_words(advice.name)} first" if advice is not None and advice.source else ""
+    if half > value:  # a share of more than the whole says nothing
+        largest = ", ".join(source_words(source) for source, part in [*parts.items()][:TOLD] if part > LEAST * half)
+        return (f"{result.mechanism.names[k]} is not known: its interval is wider than its value, most by {largest}"
+                f"{first}")
     return (f"{result.mechanism.names[k]} is known to {_percent(half / value)} ({', '.join([*told[:TOLD], *noise])})"
             f"{first}")
 

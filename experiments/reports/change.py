@@ -8,6 +8,7 @@ from typing import Any
 
 from estimator.change import Change, ChangedCause, Detectable, HeldOut, Kind, LevelChange
 from experiments.console import text_table
+from experiments.reports.next_step import Files, with_names
 from experiments.reports.origin import Source
 from experiments.session import SetAside
 
@@ -20,8 +21,9 @@ SHOWN = 12
 """Smallest changes that a terminal shows; the JSON has all."""
 
 
-def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES) -> str:
-    """Text after `legid diagnose --against` and `legid compare`: the verdict first. `names`: those of the sessions."""
+def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES, files: Files | None = None) -> str:
+    """Text after `legid diagnose --against` and `legid compare`: the verdict first. `names`: those of the sessions;
+    the next step names `files`."""
     blocks = [found.sentence]
     if found.causes:
         blocks.append(f"From {names[0]} to {names[1]}:\n" + text_table(CAUSE_HEADER, cause_rows(found), {3, 4}))
@@ -33,7 +35,7 @@ def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES) -> str:
         blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
                       f"{len(rows)} of {len(found.detectable)}):\n" + text_table(DETECTABLE_HEADER, rows, {2}))
         blocks.append(structure_text(found))
-    blocks.append(f"Next step: {next_of_change(found)}")
+    blocks.append(f"Next step: {with_names(next_of_change(found), files)}")
     blocks += [f"warning: {text}" for text in found.warnings]
     blocks.append(f"Runs: {', '.join((*found.reference, *found.test))}. ({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)

@@ -28,6 +28,7 @@ from experiments.reports.change import (
 from experiments.reports.diagnosis_figures import ROW_IN, draw
 from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
+from experiments.reports.next_step import Files, with_names
 from experiments.reports.origin import origin_section
 
 if TYPE_CHECKING:
@@ -44,14 +45,15 @@ TITLES: dict[str, str] = {"no_change": "No difference", "named": "Different: the
                                     "fit_failed": "No comparison is possible"}
 
 
-def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: Sequence[Dataset] = ()) -> None:
-    """Write the page. Raises `InputError` where that place cannot be written."""
+def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: Sequence[Dataset] = (),
+                 files: Files | None = None) -> None:
+    """Write the page; its next step names `files`. Raises `InputError` where that place cannot be written."""
     names, first = pairs[0]
     worst = max((found for _, found in pairs), key=lambda f: list(LEVELS).index(f.verdict))
     lines = [found.sentence if len(pairs) == 1 else f"{b} against {a}: {found.sentence}" for (a, b), found in pairs]
     warnings = dict.fromkeys(f"Warning: {text}" for _, found in pairs for text in found.warnings)
     box = VerdictBox(LEVELS[worst.verdict], TITLES[worst.verdict], lines, list(warnings),
-                     f"Next step: {next_of_change(worst)}.")
+                     f"Next step: {with_names(next_of_change(worst), files)}.")
     count = len(first.reference) + sum(len(found.test) for _, found in pairs)
     write_page(path, f"From {names[0]} to {', '.join(b for (_, b), _ in pairs)}", f"{count} runs.",
                [*(section for pair in pairs for section in change_sections(pair, len(pairs) > 1)),

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROW_IN = 0.3
-MOST_SHARE = 3.0
-"""Of the nominal model's error, that a bar of the budget shows."""
 TRACE_SECONDS = 12.0
 CROWDED = 0.15
 """Share of the range within which half of all bins must lie for an axis to be scaled about zero."""
@@ -69,40 +67,31 @@ def error_bars(sensors: Mapping[str, SensorGain]) -> str:
 
 
 def waterfall(budget: Sequence[BudgetRow]) -> str:
-    """Bars from the nominal model's error to the residual: each part where the one above it ends, with its interval."""
-    parts = [row for row in budget if row.what != "noise"]
-    noise = sum(row.share for row in budget if row.what == "noise")
-    names = {"nominal": "nominal model", "remainder": "residual"}
-    colours = {"nominal": BLUE, "cause": GREEN, "remainder": ORANGE}
+    """Bars from the nominal model's error to noise alone: each part where the one above it ends, with its interval."""
+    names = {"nominal": "nominal model", "remainder": "residual", "noise": "noise alone"}
+    colours = {"nominal": BLUE, "cause": GREEN, "remainder": ORANGE, "noise": GREY}
 
     def paint(axes: Axes) -> None:
         top = 1.0
-        for k, row in enumerate(parts):
-            if abs(row.share) > MOST_SHARE:  # a bar of it would hide all others
-                axes.annotate(f"{100 * row.share:.0f} %, not to scale", (0.0, k), xytext=(5, 0), fontsize=9.0,
-                              va="center", textcoords="offset points")
-                continue
-            begin = 0.0 if row.what != "cause" else top - row.share
-            axes.barh(k, 100.0 * row.share, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
-            right = begin + row.share
+        for k, row in enumerate(budget):
+            begin = 0.0 if row.what == "nominal" else top - row.of_error
+            axes.barh(k, 100.0 * row.of_error, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
+            right = begin + row.of_error
             if row.what != "nominal":
-                low, high = (right - c for c in row.ci95) if row.what == "cause" else row.ci95
+                low, high = (right - c for c in row.of_error_ci95)
                 axes.plot([100.0 * low, 100.0 * high], [k, k], color=INK, linewidth=1.5, zorder=3)
-                right = max(right, low, high)
-            axes.annotate(f"{100 * row.share:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
+                right, top = max(right, low, high), begin
+            axes.annotate(f"{100 * row.of_error:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
                           textcoords="offset points")
-            top = begin if row.what == "cause" else top
-        axes.axvline(100.0 * min(noise, 2.0), color=GREY, linestyle="--", zorder=1,
-                     label="noise alone" if noise < 2.0 else f"noise alone (at {100 * noise:.0f} %, not to scale)")
-        axes.set_yticks(range(len(parts)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
-                                            (f" at joint {r.joint}" if r.joint else "") for r in parts])
+        axes.set_yticks(range(len(budget)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
+                                             (f" at joint {r.joint}" if r.joint else "") for r in budget])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
-        finish(axes, 1, "mean squared error\nbeyond noise [%]", "")  # long names leave the axes narrow
+        axes.set_xlabel("mean squared error [%]")
 
-    return draw("budget", 1.05 + 0.5 * len(parts), paint)
+    return draw("budget", 0.9 + 0.5 * len(budget), paint)
 
 
 def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:

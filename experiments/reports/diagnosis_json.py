@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from daq import FloatArray
+from daq import Dataset, FloatArray
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.models import (
     MechanismSettings,
@@ -23,16 +23,17 @@ from experiments.models import (
 from experiments.provenance import program_version
 from experiments.reports.next_step import next_step
 from experiments.reports.structure import structure_document
-from experiments.session import SetAside, Setup
+from experiments.session import SetAside, Setup, faulty_readings
 
 SCHEMA = "legid.diagnosis/1"
 WHOLE_RIG = frozenset({"rotor_inertia"})
 """Effects that the library places at a joint and the contract does not."""
 
 
-def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict[str, Any]:
+def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = (), used: Sequence[Dataset] = ()
+                       ) -> dict[str, Any]:
     """`legid.diagnosis/1` of docs/formats.md, with the sentence, warnings and the next experiment added to it; `aside`
-    are the runs that were set aside."""
+    are the runs that were set aside, `used` the others."""
     before, after = found.torque_rms_nm
     return {
         "schema": SCHEMA, "verdict": found.verdict, "sentence": found.sentence,
@@ -48,7 +49,8 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "material": found.material, "budget": [
             {"what": row.what, "effect": row.effect,
              "joint": None if row.effect is None else contract_joint(row.effect, row.joint), "share": row.share,
-             "ci95": list(row.ci95)} for row in found.budget],
+             "ci95": list(row.ci95), "of_error": row.of_error, "of_error_ci95": list(row.of_error_ci95)}
+            for row in found.budget],
         "immaterial": [_cause(cause) for cause in found.immaterial],
         "within_tolerance": [
             {"effect": one.effect, "joint": contract_joint(one.effect, one.joint), "name": one.name, "unit": one.unit,
@@ -71,7 +73,7 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
         "warnings": list(found.warnings), "next_experiment": found.next_experiment,
         "next_step": next_step(found), "wall_s": found.wall_s,
-        "set_aside": [run.document for run in aside],
+        "set_aside": [run.document for run in aside], "readings": faulty_readings(used),
     }
 
 

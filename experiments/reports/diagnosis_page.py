@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from daq import Dataset
 from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
@@ -29,6 +29,7 @@ from experiments.reports.diagnosis_json import untestable
 from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,
+    PARAMETERS,
     ROTATION_HEADER,
     SMALL_HEADER,
     SMALL_TITLE,
@@ -43,6 +44,7 @@ from experiments.reports.diagnosis_text import (
     gap_text,
     hold_words,
     key_label,
+    parameter_rows,
     probability,
     rotation_rows,
     rotation_words,
@@ -52,27 +54,30 @@ from experiments.reports.diagnosis_text import (
     size_text,
     small_rows,
 )
+from experiments.reports.figures import on_paper
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
-from experiments.reports.next_step import next_step
-from experiments.reports.numbers import normal, number
+from experiments.reports.next_step import Files, next_step, with_names
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
 from experiments.reports.structure import structure_section
+from experiments.session import Prepared, contradictions
 
+FLAT = 0.1
+"""Share of an effect's curve below which the nominal residual is flat next to it."""
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
 
 
-def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
-                    runs: Sequence[Dataset] = (), mechanism: Mechanism | None = None,
-                    warnings: Sequence[str] = ()) -> None:
-    """Write the page, with its source files and the meaning of its parameters, where they are known.
+def write_diagnosis(path: Path | str, found: Diagnosis, prepared: Prepared, origin: Origin,
+                    files: Files | None = None) -> None:
+    """Write the page of a diagnosis of the runs in `prepared`. The next step names `files`.
 
     Raises `InputError` where `path` cannot be written.
     """
-    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", confirm_words(found),
-               [*diagnosis_sections(found, mechanism), *([origin_section(origin, runs)] if origin else [])], origin,
-               verdict_box(found, warnings))
+    setup = prepared.setup
+    write_page(path, f"Diagnosis of {setup.settings.model}: {verdict_words(found.verdict)}", confirm_words(found),
+               [*diagnosis_sections(found, setup.mechanism), origin_section(origin, setup.datasets)], origin,
+               verdict_box(found, contradictions(prepared.flags), files))
 
 
 def confirm_words(found: Diagnosis) -> str:
@@ -93,13 +98,13 @@ WORDS: dict[Verdict, str] = {
     "one_of": "one of several causes", "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}
 
 
-def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
+def verdict_box(found: Diagnosis, warnings: Sequence[str] = (), files: Files | None = None) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
     return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
                    [*filter(None, [found.sentence, answer_words(found)])],
                    [f"Warning: {text}" for text in (*warnings, *found.warnings)],
-                   f"Next step: {next_step(found)}")
+                   f"Next step: {with_names(next_step(found), files)}")
 
 
 def verdict_words(verdict: Verdict) -> str:
@@ -152,8 +157,8 @@ def _budget(found: Diagnosis) -> Section:
         turns.append(rotation_words(found))
         tables.append(Table(ROTATION_HEADER, rotation_rows(found), "every run held out once", frozenset({2})))
     return Section("What the error consists of", [budget_words(found), *turns, *where], tables,
-                   [Picture(waterfall(found.budget), "Mean squared free-run error beyond noise alone, from the nominal "
-                            "model to the extended one: the reduction by each cause, and the residual.")])
+                   [Picture(waterfall(found.budget), "Mean squared free-run error of the nominal model: what each "
+                            "cause takes away, what the extended model leaves beyond noise, and noise alone.")])
 
 
 def _about(cause: Cause) -> str:
@@ -228,13 +233,16 @@ def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | N
 
 
 def _signatures(found: Diagnosis) -> Section:
-    limits = signature_limits(found.signatures)
+    seen = [s for s in found.signatures if float(np.max(np.abs(s.before))) > FLAT * float(np.max(np.abs(s.curve)))]
+    absorbed = [f"{key_label(s.title)}: the nominal parameters absorb it, so the residual has no signature of it."
+                for s in found.signatures if s not in seen]
+    limits = signature_limits(seen)
     pictures = [Picture(signature_plot(s, limits[s.x_label, s.y_label]),
                         f"{key_label(s.title)}: residual of the nominal model (mean and standard error of each bin), "
                         "the effect's law, and the residual of the extended model. The nominal parameters absorb part "
                         "of an effect, so their residual need not follow its curve.")
-                for s in found.signatures]
-    return Section("Signature", (), (), pictures)
+                for s in seen]
+    return Section("Signature", (), (), pictures, absorbed)
 
 
 def _traces(found: Diagnosis) -> Section:
@@ -242,13 +250,21 @@ def _traces(found: Diagnosis) -> Section:
         return Section("Before and after")
     first = found.traces[0]
     shown = [column for column in first.measured if column in first.before and column in first.after]
-    told = max(shown, key=lambda column: (column.startswith("q"), _excess(found, column)), default="")
-    seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
-    pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
-                        "and simulated by the nominal and by the extended model; below, simulated less measured.",
+    at = re.compile("|".join(rf"q{joint}_" for joint in _joints(found)) or r"(?!)")
+    told = max(shown, key=lambda column: (bool(at.match(column)), column.startswith("q"), _excess(found, column)),
+               default="")
+    paper = on_paper(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
+    pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}: measured, and simulated by the "
+                        f"nominal and by the extended model; below, simulated less measured.{paper}",
                         trace_chart(first, column), leads=column == told)
                 for column in shown]
     return Section("Simulation against measurement, before and after", (), (), pictures)
+
+
+def _joints(found: Diagnosis) -> list[int]:
+    """Joints from 1 at which the causes are, or the residual where none is named."""
+    joints = [cause.joint for cause in found.causes] or [found.remainder.joint if found.remainder else None]
+    return [joint for joint in joints if joint is not None]
 
 
 def _excess(found: Diagnosis, column: str) -> float:
@@ -272,35 +288,15 @@ def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
         return Section("Parameters")
     meanings = {p.name: [p.unit, p.meaning] for p in (mechanism.parameters if mechanism else ())}
     told = ["unit", "meaning"] if meanings else []
-    nominal = _with_std(found.nominal, found.nominal_std)
-    extended = _with_std(found.extended, found.extended_std)
-    rows = []
-    for name, (value, std) in nominal.items():
-        row = [name, number(value, std), _interval(value, std)]
-        if name in extended:
-            new, new_std = extended[name]
-            shift = f"{(new - value) / std:+.1f}" if 0 < std < float("inf") else ""
-            row += [number(new, new_std), _interval(new, new_std), shift]
-        rows.append([*row, *(meanings.get(name, ["", ""]) if meanings else [])])
-    header = ["parameter", "nominal", "95 % interval"]
-    if not extended:
-        if not any(row[2] for row in rows):
-            header, rows = header[:2], [[*row[:2], *row[3:]] for row in rows]
-        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset(range(1, len(header))))])
-    header += ["extended", "95 % interval", "shift / std"]
-    return Section(
-        "What the extension does to the parameters",
-        ["The nominal parameters absorb part of the missing effects. These shifts are their bias."],
-        [Table([*header, *told], rows, right=frozenset({1, 2, 3, 4, 5}))],
-        [Picture(shift_plot(nominal, extended), "Parameters of the extended model against those of the nominal one.")])
-
-
-def _with_std(values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    return {name: (value, std.get(name, float("inf"))) for name, value in values.items()}
-
-
-def _interval(value: float, std: float) -> str:
-    return normal(value, std).interval
+    header, rows = parameter_rows(found)
+    rows = [[*row, *(meanings.get(row[0], ["", ""]) if meanings else [])] for row in rows]
+    table = Table([*header, *told], rows, right=frozenset(range(1, len(header))))
+    if not found.extended:
+        return Section("Parameters", (), [table])
+    pairs = ({name: (value, std.get(name, float("inf"))) for name, value in values.items()}
+             for values, std in ((found.nominal, found.nominal_std), (found.extended, found.extended_std)))
+    return Section("What the extension does to the parameters", [PARAMETERS], [table],
+                   [Picture(shift_plot(*pairs), "Parameters of the extended model against those of the nominal one.")])
 
 
 def _next(found: Diagnosis) -> Section:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite, isinf
+from math import inf, isfinite, isinf
 
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
 from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
-from experiments.reports.next_step import next_step
+from experiments.reports.next_step import Files, next_step, with_names
+from experiments.reports.numbers import normal, number
 from experiments.reports.structure import HEADER as STRUCTURE_HEADER
 from experiments.reports.structure import USE, structure_rows, structure_words
 
@@ -143,7 +144,7 @@ BUDGET_HEADER = ["part of the simulation's error", "share", "95 % interval"]
 def budget_words(found: Diagnosis) -> str:
     """Meaning of the budget's shares, and the reduction of the error."""
     where = "all runs, each held out once" if found.rotations else "the held-out runs"
-    words = f"Contributions to the mean squared free-run error beyond noise alone, on {where}"
+    words = f"Contributions to the mean squared free-run error of the nominal model, on {where}"
     if found.error is None:
         return f"{words}:"
     return (f"{words} (rms error {found.error[0]:.2f} times that of noise alone, {found.error[1]:.2f} with the causes "
@@ -167,10 +168,11 @@ def rotation_rows(found: Diagnosis) -> list[list[str]]:
 
 
 def budget_rows(found: Diagnosis) -> list[list[str]]:
-    """One row of BUDGET_HEADER for each part, as a share of the nominal model's error."""
-    names = {"remainder": "residual", "noise": "noise alone, for comparison"}
-    return [[names.get(row.what) or effect_label(row.effect or "", row.joint), f"{100 * row.share:.1f} %",
-             f"{100 * row.ci95[0]:.1f} to {100 * row.ci95[1]:.1f} %"] for row in found.budget if row.what != "nominal"]
+    """One row of BUDGET_HEADER for each part of the nominal model's error; together they are all of it."""
+    names = {"remainder": "residual", "noise": "noise alone"}
+    return [[names.get(row.what) or effect_label(row.effect or "", row.joint), f"{100 * row.of_error:.1f} %",
+             f"{100 * row.of_error_ci95[0]:.1f} to {100 * row.of_error_ci95[1]:.1f} %"]
+            for row in found.budget if row.what != "nominal"]
 
 
 def causes_title(found: Diagnosis) -> str:
@@ -180,8 +182,47 @@ def causes_title(found: Diagnosis) -> str:
     return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
 
 
-def diagnosis_text(found: Diagnosis) -> str:
-    """Text after `legid diagnose`: the verdict first."""
+PARAMETERS = "The nominal parameters absorb part of the missing effects. These shifts are their bias."
+
+
+def parameter_rows(found: Diagnosis) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the nominal parameters and, where a cause was found, the corrected ones."""
+    rows = []
+    for name, value in found.nominal.items():
+        std = found.nominal_std.get(name, inf)
+        row = [name, number(value, std), normal(value, std).interval]
+        if name in found.extended:
+            new, new_std = found.extended[name], found.extended_std.get(name, inf)
+            row += [number(new, new_std), normal(new, new_std).interval,
+                    f"{(new - value) / std:+.1f}" if 0.0 < std < inf else ""]
+        rows.append(row)
+    if found.extended:
+        return ["parameter", "nominal", "95 % interval", "corrected", "95 % interval", "shift / std"], rows
+    if any(row[2] for row in rows):
+        return ["parameter", "nominal", "95 % interval"], rows
+    return ["parameter", "nominal"], [row[:2] for row in rows]
+
+
+def causes_text(found: Diagnosis) -> str:
+    """The causes with their sizes, under their title."""
+    rows = [row for cause in found.causes for row in size_rows(cause)]
+    return f"{causes_title(found)}:\n" + text_table(["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3})
+
+
+def errors_on_held_out(found: Diagnosis) -> str:
+    """The free-run errors on the held-out runs."""
+    return (f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:\n"
+            + text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}))
+
+
+def short_diagnosis_text(found: Diagnosis) -> str:
+    """The verdict, the causes and the errors."""
+    return "\n\n".join([found.sentence, *([causes_text(found)] if found.causes else []),
+                        *([errors_on_held_out(found)] if found.sensors else [])])
+
+
+def diagnosis_text(found: Diagnosis, files: Files | None = None) -> str:
+    """Text after `legid diagnose`: the verdict first. The next step names `files`."""
     blocks = ["\n".join(filter(None, [found.sentence, answer_words(found)]))]
     if found.structure is not None:
         blocks.append("\n".join([structure_words(found.structure), text_table(
@@ -191,9 +232,10 @@ def diagnosis_text(found: Diagnosis) -> str:
         if found.rotations:
             blocks.append(f"{rotation_words(found)}\n" + text_table(ROTATION_HEADER, rotation_rows(found), {2}))
     if found.causes:
-        rows = [row for cause in found.causes for row in size_rows(cause)]
-        blocks.append(f"{causes_title(found)}:\n" + text_table(
-            ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
+        blocks.append(causes_text(found))
+    if found.causes and found.extended:
+        header, rows = parameter_rows(found)
+        blocks.append(f"{PARAMETERS}\n" + text_table(header, rows, {1, 2, 3, 4, 5}))
     if found.immaterial:
         rows = [row for cause in found.immaterial for row in size_rows(cause)]
         blocks.append("Present, not material:\n" + text_table(
@@ -201,9 +243,7 @@ def diagnosis_text(found: Diagnosis) -> str:
     if rows := small_rows(found):
         blocks.append(f"{SMALL_TITLE}:\n" + text_table(SMALL_HEADER, rows, {2, 3}))
     if found.sensors:
-        blocks.append("\n".join([
-            f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:",
-            text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}), gap_text(found)]).rstrip())
+        blocks.append(f"{errors_on_held_out(found)}\n{gap_text(found)}".rstrip())
     if found.short is not None:
         blocks.append("\n".join([
             f"The same runs, {short_title(found.short)}:",
@@ -217,7 +257,7 @@ def diagnosis_text(found: Diagnosis) -> str:
     blocks += [f"warning: {text}" for text in found.warnings]
     if found.next_experiment:
         blocks.append(f"Next experiment: {found.next_experiment}")
-    blocks.append(f"Next step: {next_step(found)}")
+    blocks.append(f"Next step: {with_names(next_step(found), files)}")
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in found.runs.items() if names)
     blocks.append(" ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(found), f"({found.wall_s:.0f} s)"])))
     return "\n\n".join(blocks)

@@ -43,10 +43,16 @@ def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, capti
     part = slice(0, min(window(time_s, seconds).stop, MOST_SAMPLES))
     shown = [replace(line, values=line.values[part]) for line in lines]
     under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
+    caption += on_paper(seconds, float(whole[-1]))
     if whole.size > MOST_SAMPLES:
         caption += f" The first {whole[MOST_SAMPLES - 1]:.0f} of {whole[-1]:.0f} s."
     return Picture(plot_lines(whole[part], shown, y_label, bands=under, y_range=y_range), caption,
                    Chart(whole, lines, y_label, group=group, bands=bands, y_range=y_range), leads)
+
+
+def on_paper(seconds: float, whole_s: float) -> str:
+    """Sentence of a caption whose picture shows less than a browser does; empty where it shows all."""
+    return f" On paper, the first {seconds:.0f} of {whole_s:.0f} s." if seconds < whole_s - 0.5 else ""
 
 
 @contextmanager

@@ -93,12 +93,13 @@ def _facts(result: FitResult) -> list[Finding]:
 
 
 def _impossible(result: FitResult) -> list[str]:
-    """What physics forbids: an inertia matrix that is not positive definite, friction that drives."""
+    """What physics forbids of parameters that the runs determine: negative masses, friction that drives."""
     found = []
     paths = [path.q[:: max(1, len(path.q) // 200)] for path in result.trajectories]
     q = np.concatenate(paths) if paths else np.zeros((1, result.mechanism.n))
     least = np.linalg.eigvalsh(result.mechanism.inertia_matrix(q, result.beta))
-    if not np.isfinite(least).all() or least.min() <= 0.0:
+    masses = {p.name for p in result.mechanism.parameters if p.term in ("inertia", "rotor")}
+    if not masses & result.open_parameters and (not np.isfinite(least).all() or least.min() <= 0.0):
         found.append("a mass that is not positive")
     for p, value, std in zip(result.mechanism.parameters, result.beta, result.std):
         if "friction" in p.meaning and p.name not in result.open_parameters and value + 3.0 * std < 0.0:
@@ -197,5 +198,6 @@ def _loose(result: FitResult) -> list[str]:
     for p, value, half in zip(result.mechanism.parameters, result.beta, result.shown_half_width):
         share = half / abs(value) if value else np.inf
         if p.name not in result.open_parameters and p.name not in result.fixed and share > PRECISE:
-            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if np.isfinite(share) else p.name)
+            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if share <= 1.0 else
+                         f"{p.name} ({p.meaning}), wider than its value" if np.isfinite(share) else p.name)
     return found

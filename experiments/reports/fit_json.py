@@ -97,8 +97,8 @@ def check_sound(result: FitResult, for_model: bool) -> None:
 
 
 def _faults(result: FitResult) -> tuple[str, ...]:
-    """Reasons why no mechanism has these parameters, as the first line of the text says."""
-    return result.inadmissible or tuple(one.text for one in check_fit(result) if one.kind == "impossible")
+    """Reasons why these parameters are not to be used, as the first line of the text says."""
+    return tuple(one.text for one in (*result.findings, *check_fit(result)) if one.role == "fault")
 
 
 def _remedy(result: FitResult, several: bool) -> str:

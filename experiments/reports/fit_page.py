@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import Dataset, FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
+from experiments.provenance import Origin
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
-from experiments.reports.html import Picture, Section, Table, fold
+from experiments.reports.html import Picture, Section, Table, fold, write_page
 from experiments.reports.numbers import Estimate, number
+from experiments.reports.origin import origin_section
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
 from experiments.reports.residual_tests import (
     LAGS,
@@ -29,6 +32,7 @@ from experiments.reports.residual_tests import (
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
 from experiments.reports.sketch import sketch_pictures
+from experiments.reports.trust import fit_trust
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -55,6 +59,14 @@ def fit_summary(result: FitResult, model: str) -> str:
 def _sensors(result: FitResult) -> str:
     sensors = "IMU, knee encoder" if result.sensors == "imu" else "joint encoders"
     return f"{sensors} and torque" if result.mechanism.actuated else sensors.replace(", ", " and ")
+
+
+def write_fit(path: Path | str, result: FitResult, model: str, runs: Sequence[Dataset], origin: Origin) -> None:
+    """Write the page of a fit to `runs` by a mechanism called `model`. Raises `InputError` where that place cannot be
+    written."""
+    write_page(path, f"Fit of {model}: {', '.join(run.name for run in runs)}", fit_summary(result, model),
+               [*fit_sections(result), origin_section(origin, runs)], origin,
+               fit_trust(result).verdict(result.warnings))
 
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
@@ -104,7 +116,7 @@ def _sensors_section(result: FitResult) -> list[Section]:
     found = _first(result)
     if found is None:
         return []
-    path, part = found
+    path, _ = found
     pictures = []
     for column, measured in path.measured.items():
         if column not in path.predicted or not column.startswith(("gyro", "accel", "q")):
@@ -122,7 +134,7 @@ def _sensors_section(result: FitResult) -> list[Section]:
     if not pictures:
         return []
     title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
-    return [Section(f"{title}, measured against the estimate", [_excerpt(path, part)], pictures=pictures)]
+    return [Section(f"{title}, measured against the estimate", [f"Run {path.run}."], pictures=pictures)]
 
 
 def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
@@ -130,7 +142,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
     found = _first(result)
     if found is None:
         return []
-    path, part = found
+    path, _ = found
     other = _match(benchmark, path)
     pictures = []
     force = result.mechanism.force_unit
@@ -151,7 +163,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
                                       y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
-    return [Section("Torques", [_excerpt(path, part)], pictures=pictures)]
+    return [Section("Torques", [f"Run {path.run}."], pictures=pictures)]
 
 
 def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
@@ -189,13 +201,6 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
         if other.run == path.run and np.array_equal(other.time_s, path.time_s):
             return other
     return None
-
-
-def _excerpt(path: Trajectory, part: slice) -> str:
-    shown = float(path.time_s[part][-1] - path.time_s[0])
-    whole = float(path.time_s[-1] - path.time_s[0])
-    return (f"Run {path.run}. On paper, figures show the first {shown:.0f} of {whole:.0f} s."
-            if shown < whole - 0.5 else f"Run {path.run}.")
 
 
 def _residuals(result: FitResult) -> list[Section]:

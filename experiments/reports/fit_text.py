@@ -92,13 +92,18 @@ def run_noise_lines(result: FitResult) -> list[str]:
     return lines
 
 
+def parameter_text(result: FitResult) -> str:
+    """The table of the parameters."""
+    return text_table(PARAMETER_HEADER, parameter_rows(result), right={1, 2, 3})
+
+
 def fit_text(result: FitResult, model: str) -> str:
     """Text after a fit."""
     lines = [*([prior_sentence(result), ""] if result.prior else []),
              f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
              f"{result.iterations} iterations, {result.wall_s:.2f} s, "
              + ("converged" if result.converged else "NOT CONVERGED"), "",
-             text_table(PARAMETER_HEADER, parameter_rows(result), right={1, 2, 3}), ""]
+             parameter_text(result), ""]
     if result.noise:
         lines.append("noise (1 sigma): " + ", ".join(
             f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(result)))

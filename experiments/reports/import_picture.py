@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from experiments.console import text_table
 from experiments.exchange import Guess, si_unit
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, ORANGE, picture_lines
@@ -17,6 +18,11 @@ def guess_rows(guess: Guess) -> list[list[str]]:
     """One row of GUESS_HEADER a column."""
     return [[name, column.name, column.unit or si_unit(name), f"{column.sign:+d}",
              guess.notes.get(name, "").replace("\n", "; ")] for name, column in guess.columns.items()]
+
+
+def guess_table(guess: Guess) -> str:
+    """The same as text."""
+    return text_table(GUESS_HEADER, guess_rows(guess), set())
 
 
 def guess_verdict(guess: Guess) -> VerdictBox:

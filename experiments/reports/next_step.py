@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from estimator.diagnosis import Diagnosis, Remainder
 
@@ -18,9 +21,40 @@ RECORD = {
     "v": ("the speed", "Record slow ramps with holds and fast motion as separate runs", SESSION),
     "q": ("the angle", "Record slow motion over the whole range", SESSION)}
 """What a residual depends on -> its name, what to do, and the command."""
+MOST_RUNS = 12
+"""Names of runs that a next step repeats."""
 SENSORS = {"gyro": "legid calibrate imu --rig RIG", "accel": "legid calibrate imu --rig RIG",
            "encoder": "legid doctor --rig RIG"}
 """Start of a channel that reads wrongly -> the command that checks it."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Files that a command was given, or writes: their names stand in its next step."""
+
+    runs: Sequence[str] = ()
+    rig: str | None = None
+    """None where the runs hold it."""
+    model: str | None = None
+    document: str | None = None
+    """The JSON of a diagnosis."""
+
+
+def with_names(step: str, files: Files | None) -> str:
+    """A next step with the names of `files` in place of RUN..., RIG, MODEL.json and DIAGNOSIS.json."""
+    if files is None:
+        return step
+    if files.model is not None:  # it is written already
+        step = re.sub(r"legid diagnose RUN\.\.\. --rig RIG --model-out MODEL\.json, then ", "", step)
+    if files.rig is None:
+        step = re.sub(r"(legid (?:fit|diagnose|validate)[^:]*?) --rig RIG", r"\1", step)
+    runs = shlex.join(files.runs) if 0 < len(files.runs) <= MOST_RUNS else None
+    for place, name in ((r"(?<!NEW_)\bRUN\.\.\.", runs), (r"\bRIG\b", files.rig and shlex.quote(files.rig)),
+                        (r"\bMODEL\.json", files.model and shlex.quote(files.model)),
+                        (r"\bDIAGNOSIS\.json", files.document and shlex.quote(files.document))):
+        if name:
+            step = re.sub(place, name.replace("\\", r"\\"), step)
+    return step
 
 
 def next_step(found: Diagnosis) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator import FitResult
 from estimator.effects import classes
-from estimator.fitting import CALIBRATED, Measurement, next_measurement
+from estimator.fitting import CALIBRATED, Measurement, body_unit, next_measurement
 from experiments.reports.html import Section, Table
 from experiments.reports.numbers import number
 
@@ -90,9 +90,7 @@ def _or_zero(result: FitResult, found: Measurement) -> str:
 
 def _unit(result: FitResult, name: str) -> str:
     m = result.mechanism
-    if name in m.names:
-        return m.parameters[m.column(name)].unit
-    return {"m": "kg", "l": "m", "lc": "m", "I": "kg m^2"}[name.rstrip("0123456789")]
+    return m.parameters[m.column(name)].unit if name in m.names else body_unit(name)
 
 
 def knowledge_section(result: FitResult) -> list[Section]:

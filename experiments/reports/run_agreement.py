@@ -19,9 +19,12 @@ MOST_RUNS = 8
 
 
 def disputed(result: FitResult) -> list[int]:
-    """Numbers of the parameters about which the runs are seen to disagree."""
+    """Numbers of the determined parameters about which the runs are seen to disagree, wide enough for an interval."""
     found = result.agreement
-    return [] if found is None or not found.disagree else [int(k) for k in np.flatnonzero(found.seen)]
+    if found is None or not found.disagree:
+        return []
+    told = found.seen & (result.widening > WIDE)
+    return [int(k) for k in np.flatnonzero(told) if result.mechanism.names[k] not in result.open_parameters]
 
 
 def units(result: FitResult) -> str:

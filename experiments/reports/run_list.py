@@ -125,6 +125,12 @@ def list_runs(folder: Path | str) -> list[RunLine]:
     return sorted(lines, key=lambda line: (line.recorded is None, line.recorded or datetime.max.replace(tzinfo=UTC)))
 
 
+def other_tables(folder: Path | str) -> list[Path]:
+    """The CSV files in `folder` and below that are neither runs nor plans, by their header."""
+    tables = sorted(Path(folder).rglob("*.csv")) if Path(folder).is_dir() else []
+    return [path for path in tables if (names := _header(path)) and "time_s" not in names]
+
+
 def choose(lines: Iterable[RunLine], model: str | None = None, since: date | None = None, until: date | None = None,
            verdict: str | None = None, faulty: bool = False) -> list[RunLine]:
     """Those of that rig model, recorded (UTC) on these days, with that verdict (`-`: none yet), faulty ones only."""
@@ -178,12 +184,17 @@ def _line(path: Path, folder: Path) -> RunLine:
 
 def holds_run(path: Path) -> bool:
     """Whether a CSV's header names the columns of a run, and not of a plan or of another program."""
+    names = _header(path)
+    return "time_s" in names and any(re.match(r"q\d+_(rad|m)$|gyro", name) for name in names)
+
+
+def _header(path: Path) -> list[str]:
+    """Names in the first line of a CSV; empty where it cannot be read."""
     try:
         with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
-            names = [cell.strip() for cell in file.readline(MOST_HEADER).split(",")]
+            return [cell.strip() for cell in file.readline(MOST_HEADER).split(",")]
     except (OSError, EOFError, zlib.error, UnicodeDecodeError):
-        return False
-    return "time_s" in names and any(re.match(r"q\d+_(rad|m)$|gyro", name) for name in names)
+        return []
 
 
 def _csv_line(path: Path, name: str) -> RunLine:

@@ -111,8 +111,9 @@ def _draw_imu(axes: Axes, at: FloatArray, along: FloatArray, up: float, label: s
         tip = at + 0.3 * axis
         axes.annotate("", tuple(tip), tuple(at), arrowprops={"arrowstyle": "->", "color": ORANGE}, zorder=5)
         axes.annotate(name, tuple(at + 0.38 * axis), color=ORANGE, ha="center", va="center", fontsize=9.0)
-    axes.annotate(label, tuple(at), xytext=(-8, -12), textcoords="offset points", color=ORANGE, ha="right",
-                  fontsize=9.0)
+    side = 1 if along[0] >= 0.0 else -1  # as of the link's label: on the other side is the arc
+    axes.annotate(label, tuple(at), xytext=(10 * side, -12), textcoords="offset points", color=ORANGE,
+                  ha="left" if side > 0 else "right", fontsize=9.0)
 
 
 def _imus(mechanism: Mechanism) -> tuple[ImuPlace, ...]:

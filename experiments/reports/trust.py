@@ -67,7 +67,7 @@ def fit_trust(result: FitResult) -> Trust:
     suspect = [one for one in findings if one.role == "doubt" or one.kind == "rig_contradiction"]
     reasons = tuple(_line(f"the rig file contradicts a run: {one}" if one.kind == "rig_contradiction" else one.text)
                     for one in suspect)
-    facts = tuple(f"{one}." for one in findings if one.role == "fact")
+    facts = tuple(_line(one.text) for one in findings if one.role == "fact")
     torque = list(torque_fits(result).values())
     disputes = any(one.kind == "runs_disagree" for one in findings)
     tested = result.method in ("mle", "shooting")

@@ -26,8 +26,25 @@ def validation_document(table: PredictionTable, sensors: str) -> dict[str, Any]:
             "fit_percent": [{"run": one.run, "whole": fits_of(table, k, np.inf), "short": fits_of(table, k, SHORT_S),
                              "short_s": SHORT_S} for k, one in enumerate(table.runs)],
             "runs": [{"run": v.run, "samples": int(v.time_s.shape[0]), "horizon_s": float(v.horizon_s),
-                      "diverged": bool(v.diverged), "summed_squared_error": _floats(v.sums), "rmse": _floats(v.rmse)}
+                      "diverged": bool(v.diverged), "initial_state": initial_state(v),
+                      "summed_squared_error": _floats(v.sums), "rmse": _floats(v.rmse)}
                      for v in validations_of(table)]}
+
+
+def initial_state(v: Validation) -> dict[str, float]:
+    """Signal -> its value at the start of the free run: angles [rad] or positions [m], and their rates."""
+    names, state = list(v.sums), [x for pair in zip(v.q[0], v.qd[0]) for x in pair]
+    return {name: float(x) for name, x in zip(names, state, strict=True)}
+
+
+INITIAL = "Initial states, estimated from the readings by the model's smoother:"
+
+
+def state_rows(validations: Sequence[Validation]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: one row a segment, its start in the run's own time and every signal there."""
+    header = ["run", "start [s]", *validations[0].sums]
+    return header, [[v.run, f"{v.time_s[0]:.3f}", *(f"{x:.5g}" for x in initial_state(v).values())]
+                    for v in validations]
 
 
 def _floats(values: Any) -> dict[str, float]:
@@ -45,6 +62,12 @@ def validation_rows(validations: Sequence[Validation]) -> tuple[list[str], list[
             cells += [f"{v.sums[name]:.4g}", f"{v.rmse[name]:.4g}"]
         rows.append(cells)
     return header, rows
+
+
+def errors_text(validations: Sequence[Validation]) -> str:
+    """The same as text."""
+    header, rows = validation_rows(validations)
+    return text_table(header, rows, right=set(range(1, len(header))))
 
 
 FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
@@ -68,13 +91,14 @@ def fit_rows(table: PredictionTable) -> list[list[str]]:
 def validation_text(table: PredictionTable) -> str:
     """Text after `legid validate`."""
     validations = validations_of(table)
-    header, rows = validation_rows(validations)
     unit = length_unit(validations[0])
-    lines = [text_table(header, rows, right=set(range(1, len(header)))), "",
+    lines = [errors_text(validations), "",
              text_table(FIT_HEADER, fit_rows(table), right={2, 3, 4}), "",
              "fit: 100 % is exact, 0 % no better than the mean. Band: change of the simulation by the parameters' "
              "uncertainty; a much larger error means that the model lacks something.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
+    state_header, states = state_rows(validations)
+    lines += ["", INITIAL, text_table(state_header, states, right=set(range(1, len(state_header))))]
     lines += [f"{v.run}: the simulation diverged" for v in validations if v.diverged]
     return "\n".join(lines)
 
@@ -101,6 +125,7 @@ def validation_section(table: PredictionTable) -> Section:
     leads the page."""
     validations = validations_of(table)
     header, rows = validation_rows(validations)
+    state_header, states = state_rows(validations)
     first = validations[0]
     unit = length_unit(first)
     band = table.runs[0].bands[0] if table.runs[0].bands else None
@@ -125,7 +150,8 @@ def validation_section(table: PredictionTable) -> Section:
     notes = [f"{v.run}: the simulation diverged." for v in validations if v.diverged]
     tables = [Table(FIT_HEADER, fit_rows(table), "Fit: 100 % is exact, 0 % no better than the mean; the band is the "
                     "rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
-              Table(header, rows, right=frozenset(range(1, len(header))))]
+              Table(header, rows, right=frozenset(range(1, len(header)))),
+              Table(state_header, states, INITIAL.removesuffix(":"), frozenset(range(1, len(state_header))))]
     return Section(
         "Free-run simulation against validation data",
         ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "

@@ -20,6 +20,8 @@ class ChosenRig:
     source: Source
     note: str
     """Which was taken, where none was given; else empty."""
+    file: str | None = None
+    """Its path; None where a run holds it."""
 
 
 def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> ChosenRig:
@@ -39,12 +41,12 @@ def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> Cho
         return ChosenRig(parse_rig(text, f"{name} (rig.toml inside)"), text_source(text, HERE, name),
                          f"rig: the one that {name} holds")
     path = rig_path(given)
-    return ChosenRig(load_rig(path), source_of(path), "" if given is not None else f"rig: ./{HERE}")
+    return ChosenRig(load_rig(path), source_of(path), "" if given is not None else f"rig: ./{HERE}", str(path))
 
 
 def rig_path(given: Path | str | None) -> Path | str:
     """The path given, else ./rig.toml. Raises `InputError` where that is not there."""
     if given is None and not Path(HERE).is_file():
         raise InputError("--rig", f"is not given, no run contains a rig file, and there is no ./{HERE}",
-                         "give the rig's TOML file")
+                         f"give the rig's TOML file, or write it: legid init {HERE}")
     return HERE if given is None else given

@@ -5,12 +5,14 @@ from .flags import RunFlag as RunFlag
 from .flags import contradictions as contradictions
 from .flags import require_one_rig as require_one_rig
 from .inputs import driven as driven
+from .lost_samples import with_lost_samples as with_lost_samples
 from .prepare import Prepared as Prepared
 from .prepare import Runs as Runs
 from .prepare import as_datasets as as_datasets
 from .prepare import prepare as prepare
 from .prepare import unzeroed as unzeroed
 from .runs import damaged_runs as damaged_runs
+from .runs import faulty_readings as faulty_readings
 from .runs import load_runs as load_runs
 from .runs import require_whole as require_whole
 from .servo_law import needs_law as needs_law

@@ -58,3 +58,8 @@ def require_whole(data: Dataset, damaged: bool = False) -> Dataset:
 def damaged_runs(datasets: Sequence[Dataset]) -> list[dict[str, str]]:
     """Runs of whose files something is missing, and what: `damaged` of every document."""
     return [{"run": d.name, "what": "; ".join(map(str, d.damage))} for d in datasets if d.damage]
+
+
+def faulty_readings(datasets: Sequence[Dataset]) -> list[dict[str, object]]:
+    """Readings that no device can give in the runs, and what was done with them: `readings` of every document."""
+    return [{"run": data.name, **fault.document} for data in datasets for fault in data.readings]

@@ -18,6 +18,13 @@ from .diagnose import reference_values as reference_values
 from .diagnose import with_reference_terms as with_reference_terms
 from .executor import Executor as Executor
 from .executor import choose_executor as choose_executor
+from .export import OF_MODELS as OF_MODELS
+from .export import OF_RUNS as OF_RUNS
+from .export import Wanted as Wanted
+from .export import Written as Written
+from .export import check_wanted as check_wanted
+from .export import export_kind as export_kind
+from .export import export_model_as as export_model_as
 from .fit import Fitted as Fitted
 from .fit import fit_runs as fit_runs
 from .fit_each import Refit as Refit
@@ -35,6 +42,7 @@ from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
 from .robot import RobotReport as RobotReport
 from .robot import judge_robot as judge_robot
+from .simulate import plan_for as plan_for
 from .simulate import simulate_run as simulate_run
 from .tune import Tuning as Tuning
 from .tune import tune_runs as tune_runs
@@ -48,6 +56,7 @@ from .validate import predict_setup as predict_setup
 from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared
+from .validate import write_validation as write_validation
 from .watch import Watcher as Watcher
 from .watch import arrivals as arrivals
 from .watch import watcher_of as watcher_of

@@ -25,6 +25,7 @@ from experiments.session import (
     SetAside,
     Setup,
     as_datasets,
+    faulty_readings,
     needs_law,
     prepare,
     suspect,
@@ -69,8 +70,7 @@ class Fitted:
         gain = self.servo_gain
         return {**fit_document(self.result, self.setup.settings),
                 "set_aside": [run.document for run in self.aside],
-                "readings": [{"run": data.name, **fault.document} for data in self.setup.datasets
-                             for fault in data.readings],
+                "readings": faulty_readings(self.setup.datasets),
                 "servo_gain": None if gain is None else {"value": gain[0], "ci95": list(gain[1:])},
                 "chosen": [choice.document for choice in self.choices]}
 

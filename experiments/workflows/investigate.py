@@ -50,7 +50,7 @@ from experiments.reports import (
     write_diagnosis,
     write_investigation,
 )
-from experiments.session import contradictions, load_runs, prepare, setup_of
+from experiments.session import load_runs, prepare, setup_of
 from experiments.workflows.diagnose import diagnose_prepared
 from experiments.workflows.fit import fit_runs
 from experiments.workflows.record import record_plan
@@ -213,10 +213,9 @@ class Investigator:
         self._pending = []
         self.steps.append(step)
         setup, name, origin = prepared.setup, f"diagnosis{len(self.steps)}", self.origin(self.files)
-        write_json(self.out / f"{name}.json", with_origin(diagnosis_document(found, prepared.set_aside), origin,
-                                                          setup.datasets))
-        write_diagnosis(self.out / f"{name}.html", found, setup.settings.model, origin, setup.datasets,
-                        setup.mechanism, contradictions(prepared.flags))
+        write_json(self.out / f"{name}.json", with_origin(
+            diagnosis_document(found, prepared.set_aside, setup.datasets), origin, setup.datasets))
+        write_diagnosis(self.out / f"{name}.html", found, prepared, origin)
         self._journal(None, "The investigation goes on.")
         self.asked.told(step)
         if found.verdict == "fit_failed":

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from daq import Dataset, FloatArray, InputError, WorkError
-from daq.recording import Plan
+from daq.recording import Plan, read_plan
 from estimator.model import Mechanism, simulate
 from estimator.signals import (
     Channel,
@@ -19,9 +20,22 @@ from estimator.signals import (
     torque_column,
     torque_of,
 )
+from experiments.exchange import is_native, load_to_convert
 from experiments.models import Model, build_mechanism, noise_level, simulate_extended
 
 MOST_SAMPLES = 10_000_000
+
+
+def plan_for(path: Path | str, model: Model) -> Plan:
+    """A torque plan, or the measured torque of a run's driven joint. Raises `InputError`."""
+    torques = [f"tau{j}_{unit}" for j in model.mechanism.actuated for unit in ("nm", "n")]
+    if not is_native(path):
+        return read_plan(path, torques)
+    run = load_to_convert(path, None, None)
+    name = next((one for one in torques if one in run), None)
+    if name is None or not (good := np.isfinite(run[name])).sum() > 1:
+        raise InputError(str(path), f"holds no {torques[0]}", "give a run of the model's rig, or a plan as CSV")
+    return Plan(run.time_s[good], run[name][good])
 
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from daq import Dataset, InputError
@@ -22,17 +23,22 @@ from estimator.prediction import (
 )
 from experiments.console import progress
 from experiments.models import Model, build_mechanism, fitted_model_of, range_note
-from experiments.provenance import Source
+from experiments.provenance import Origin, Source
 from experiments.reports import (
     Trust,
     horizons_document,
+    horizons_section,
     model_contradictions,
+    origin_section,
     validation_document,
+    validation_section,
     validation_trust,
     walk_document,
+    walk_section,
     with_fit_trust,
+    write_page,
 )
-from experiments.session import Prepared, Setup, contradictions, require_sound
+from experiments.session import Prepared, Setup, contradictions, faulty_readings, require_sound
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class ValidationReport:
         """`legid.validation/1` of docs/formats.md."""
         found = validation_document(self.table, self.prepared.setup.options.sensors)
         found |= {"trust": self.trust.document, "fitted_to": list(self.seen), "horizons": horizons_document(self.table),
-                  "set_aside": [run.document for run in self.prepared.set_aside]}
+                  "set_aside": [run.document for run in self.prepared.set_aside],
+                  "readings": faulty_readings(self.prepared.setup.datasets)}
         return found | ({} if self.steps is None else {"walk": walk_document(self.steps)})
 
 
@@ -73,6 +80,18 @@ def validate_prepared(model: Model, prepared: Prepared, where: str, files: Seque
     told = (*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes)
     trust = with_fit_trust(validation_trust(table, seen, told), model.trust)
     return ValidationReport(prepared, table, steps, seen, trust, smoothed, told)
+
+
+def write_validation(path: Path | str, found: ValidationReport, model: Model, where: str, origin: Origin) -> None:
+    """Write the page of a validation of `model`, which `where` names. Raises `InputError` where that place cannot be
+    written."""
+    table, runs = found.table, found.prepared.setup.datasets
+    walk = [walk_section(found.steps)] if found.steps is not None else []
+    write_page(path, f"Validation of {where}",
+               f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
+               f"simulated against {len(table.runs)} run{'s' * (len(table.runs) != 1)}.",
+               [validation_section(table), horizons_section(table), *walk, origin_section(origin, runs)], origin,
+               found.trust.verdict())
 
 
 class Validated(NamedTuple):

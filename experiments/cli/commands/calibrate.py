@@ -170,8 +170,12 @@ def _torque_constant(args: argparse.Namespace, rig: Rig) -> Outcome:
 
 
 def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from daq import InputError
     from experiments.calibrate import SWING_WISHES, calibrate_by_encoder
 
+    if not args.runs and rig.devices.pivot is None:  # before a minute of swinging
+        raise InputError("imu-encoder", "needs the angle of the IMU's link, and the rig has no [devices.pivot]",
+                         "add that sensor, or give runs with q1_rad; legid calibrate imu needs none")
     return calibrate_by_encoder(None if args.runs else _records(args, rig, SWING_WISHES), args.runs, rig)
 
 

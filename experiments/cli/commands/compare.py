@@ -135,10 +135,7 @@ def _compare_models(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, with_origin(comparison_document(found), origin, runs))
     if args.html:
-        from experiments.reports import comparison_sections, comparison_trust, origin_section, write_page
+        from experiments.reports import write_comparison
 
-        write_page(args.html, f"{found.files[0]} (A) against {found.files[1]} (B)",
-                   f"Two models of {models[0].mechanism.model} on {len(runs)} run{'s' * (len(runs) != 1)}.",
-                   [*comparison_sections(found), origin_section(origin, runs)], origin,
-                   comparison_trust(found).verdict())
+        write_comparison(args.html, found, models[0].mechanism.model, runs, origin)
     return 0

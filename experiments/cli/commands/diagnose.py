@@ -55,13 +55,14 @@ def run(args: argparse.Namespace) -> int:
     from experiments.models import load_model, save_model
     from experiments.provenance import origin_of
     from experiments.reports import (
+        Files,
         diagnosed_model,
         diagnosis_document,
         diagnosis_text,
         model_with_origin,
         with_origin,
     )
-    from experiments.session import contradictions, prepare
+    from experiments.session import prepare
     from experiments.workflows import as_reference, diagnose_prepared, reference_values, with_reference_terms
 
     if args.against:
@@ -77,16 +78,17 @@ def run(args: argparse.Namespace) -> int:
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
         found = diagnose_prepared(prepared, args.seed, reference, show, args.workers, args.material)
+    files = Files(args.runs, chosen.file, args.model_out, args.json)
     if found.verdict != "fit_failed":
-        print(diagnosis_text(found), flush=True)  # before any file: a full disk must not take minutes of work with it
+        # before any file: a full disk must not take minutes of work with it
+        print(diagnosis_text(found, files), flush=True)
     if args.json:
         write_json(args.json, with_origin(
-            diagnosis_document(found, prepared.set_aside), origin, setup.datasets))
+            diagnosis_document(found, prepared.set_aside, setup.datasets), origin, setup.datasets))
     if args.html:
         from experiments.reports import write_diagnosis
 
-        write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets, setup.mechanism,
-                        contradictions(prepared.flags))
+        write_diagnosis(args.html, found, prepared, origin, files)
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:
@@ -101,7 +103,7 @@ def _run_against(args: argparse.Namespace) -> int:
     from experiments.console import command_line, write_json
     from experiments.models import load_model
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import REFERENCE_NAMES, change_document, change_text, with_origin, write_change
+    from experiments.reports import REFERENCE_NAMES, Files, change_document, change_text, with_origin, write_change
     from experiments.workflows import find_change, find_change_since, runs_in
 
     for option, given in (("--model-out", args.model_out), ("--reference", args.reference),
@@ -117,14 +119,15 @@ def _run_against(args: argparse.Namespace) -> int:
     origin = origin_of(runs, chosen.source, models[0] if models else None, command=command_line())
     found = find_change_since(runs, load_model(models[0]), models[0], chosen.rig, args.damaged) if models else \
         find_change(runs, against, chosen.rig, args.damaged)
+    files = Files(runs, chosen.file, document=args.json)
     if found.change.verdict != "fit_failed":
-        print(change_text(found.change), flush=True)
+        print(change_text(found.change, files=files), flush=True)
     datasets = found.datasets
     if args.json:
         document = change_document(found.change, found.set_aside, tuple(map(source_of, against)))
         write_json(args.json, with_origin(document, origin, datasets))
     if args.html:
-        write_change(args.html, [(REFERENCE_NAMES, found.change)], origin, datasets)
+        write_change(args.html, [(REFERENCE_NAMES, found.change)], origin, datasets, files)
     if found.change.verdict == "fit_failed":
         raise WorkError(found.change.sentence)
     return 0

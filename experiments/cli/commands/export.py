@@ -9,11 +9,9 @@ from experiments.cli.arguments import add_force, add_output, whole_number
 
 if TYPE_CHECKING:
     from experiments.session import Prepared
+    from experiments.workflows import Wanted
 
 KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf", "mujoco", "learning")
-OF_MODELS = ("mjcf", "urdf", "mujoco")
-ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
-           ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -49,21 +47,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Read, align, write."""
-    from daq import InputError
-
-    if args.to is None:
-        args.to = next((kind for ending, kind in ENDINGS.items() if args.out.lower().endswith(ending)), None)
-    if args.to is None:
-        raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
-    for flag, given, kinds in (("--starts", args.starts, ("mujoco", "learning")),
-                               ("--servo", args.servo, ("learning",)), ("--samples", args.samples, ("mujoco",))):
-        if given and args.to not in kinds:
-            raise InputError(flag, f"is for --to {' or '.join(kinds)}", "leave it out")
-    if args.to in ("mujoco", "learning"):
-        return _export_folder(args) if args.to == "mujoco" else _export_learning(args)
-    if args.to in OF_MODELS:
-        return _export_model(args)
     from experiments.console import warn
+    from experiments.workflows import OF_MODELS, Wanted, check_wanted, export_kind
+
+    args.to = export_kind(args.out, args.to)
+    wanted = Wanted(samples=args.samples, seed=args.seed, servo=args.servo)
+    check_wanted(args.to, wanted, bool(args.starts))
+    if args.to in OF_MODELS:
+        return _export_model(args, wanted)
     from experiments.exchange import export_run, load_to_convert
     from experiments.session import require_whole
 
@@ -93,71 +84,25 @@ def _export_ros2(args: argparse.Namespace) -> int:
     return 0
 
 
-def _export_model(args: argparse.Namespace) -> int:
+def _export_model(args: argparse.Namespace, wanted: Wanted) -> int:
     """Write the model; what the format cannot hold goes to stderr."""
-    import sys
+    from dataclasses import replace
 
     from daq import InputError, load_rig
-    from experiments.console import write_text
+    from experiments.console import note
     from experiments.models import load_model
-    from experiments.simulators import export_model
+    from experiments.workflows import export_model_as
 
-    if args.rate is not None or (args.rig is not None and args.to != "urdf"):
+    if args.to in ("mujoco", "learning"):
+        wanted = replace(wanted, starts=_prepared(args))
+    elif args.rate is not None or (args.rig is not None and args.to != "urdf"):
         raise InputError(f"--to {args.to}", "takes no --rate, and --rig for URDF alone", "leave them out")
-    limits = None if args.rig is None else load_rig(args.rig).limits
-    text, notes = export_model(load_model(args.run_file), args.to, args.run_file, limits)
-    write_text(args.out, text)
-    print(f"{args.out}: {args.to.upper()} model of {args.run_file}")
-    for note in notes:
-        print(f"note: {note}", file=sys.stderr)
-    return 0
-
-
-def _export_folder(args: argparse.Namespace) -> int:
-    """Write leg.xml and leg.py; what they hold otherwise than the model goes to stderr."""
-    import shlex
-    from pathlib import Path
-
-    from experiments.console import command_line, note
-    from experiments.models import load_model
-    from experiments.simulators import draw_models, write_samples, write_simulator
-    from experiments.workflows import starts_of
-
-    model, prepared = load_model(args.run_file), _prepared(args)
-    starts = [] if prepared is None else starts_of(model, prepared)
-    notes = write_simulator(model, args.run_file, Path(args.out), command_line() or "legid export", starts)
-    kept = f" with the first states of {len(starts)} runs" if starts else ""
-    print(f"{args.out}: leg.xml{kept} and leg.py of {args.run_file}")
-    for line in notes:
+    elif args.rig is not None:
+        wanted = replace(wanted, limits=load_rig(args.rig).limits)
+    done = export_model_as(args.to, load_model(args.run_file), args.run_file, args.out, wanted)
+    print(done.text)
+    for line in done.notes:
         note(f"note: {line}")
-    if args.samples:
-        samples = draw_models(model, args.run_file, args.samples, args.seed)
-        write_samples(samples, args.run_file, Path(args.out), command_line() or "legid export")
-        again = f", {samples.redrawn} draws that no leg can have left out" if samples.redrawn else ""
-        print(f"{args.out}: samples.csv, {args.samples} models below samples, batch.py{again}")
-        if samples.held:
-            note(f"note: not determined, kept at the model's value: {', '.join(samples.held)}")
-    print(f"Next: python {shlex.quote(str(Path(args.out) / 'leg.py'))} RUN.csv")
-    return 0
-
-
-def _export_learning(args: argparse.Namespace) -> int:
-    """Write modules for simulators of policy learning, and the table of what they hold."""
-    from pathlib import Path
-
-    from experiments.console import make_directory, write_text
-    from experiments.models import load_model
-    from experiments.simulators import learning_files
-    from experiments.workflows import reduction_errors
-
-    model, prepared = load_model(args.run_file), _prepared(args)
-    errors = None if prepared is None else reduction_errors(model, prepared)
-    texts = learning_files(model, args.run_file, errors, args.servo)
-    make_directory(Path(args.out))
-    for name, text in texts.items():
-        write_text(Path(args.out) / name, text)
-    print(f"{args.out}: {', '.join(sorted(texts))} of {args.run_file}\n")
-    print(texts["README.md"].split("\n\n", 2)[2].rstrip())
     return 0
 
 

@@ -86,12 +86,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json and origin:
         write_json(args.json, with_origin(fitted.document, origin, setup.datasets))
     if args.html and origin:
-        from experiments.reports import fit_sections, fit_summary, origin_section, write_page
+        from experiments.reports import write_fit
 
-        title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
-        write_page(args.html, title, fit_summary(result, setup.settings.model),
-                   [*fit_sections(result), origin_section(origin, setup.datasets)], origin,
-                   trust.verdict(result.warnings))
+        write_fit(args.html, result, setup.settings.model, setup.datasets, origin)
     check_sound(result, bool(args.model_out))
     if args.model_out and origin:
         from experiments.models import save_model

@@ -128,14 +128,14 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
     from daq import WorkError, write_file
     from experiments.console import text_table
     from experiments.exchange import guess_map, guess_text, is_guess, read_imported
-    from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
+    from experiments.reports import guess_section, guess_table, guess_verdict, write_page
 
     page = target.with_suffix(".html")
     if target.exists() and not (args.force or is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
     found = guess_map(read_imported(args.files[0]), rate_hz=args.rate)
-    print(text_table(GUESS_HEADER, guess_rows(found), set()))
+    print(guess_table(found))
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
     write_file(target, guess_text(found.columns, found.notes).encode(), changed=True)
@@ -177,9 +177,14 @@ def _show_next(args: argparse.Namespace, target: Path) -> None:
     import shlex
     from pathlib import Path
 
+    from experiments.exchange import load_map, unscaled
+
     there = any(Path(file).suffix == ".csv" and Path(file).resolve().parent == Path(args.out).resolve()
                 for file in args.files)
     where = "runs" if there else args.out
     out = "" if where == "." else f" --out {shlex.quote(where)}"
     rate = "" if args.rate is None else f" --rate {args.rate:g}"
+    lacking = unscaled(load_map(target))
+    if lacking:
+        print(f"first write scale = N m per {lacking[1]}, gear included, under [columns.{lacking[0]}] in {target}")
     print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{rate}{out}")

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
     from experiments.console import command_line, write_json
     from experiments.provenance import origin_of
-    from experiments.reports import choose, list_runs, runs_document, runs_text
+    from experiments.reports import choose, list_runs, other_tables, runs_document, runs_text
 
     every = list_runs(args.folder)
     lines = choose(every, args.model, args.since, args.until, args.verdict, args.faulty)
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {**runs_document(lines), "provenance": origin})
     if lines:
         print(runs_text(lines))
-    elif not every and Path(args.folder).is_dir() and (others := sorted(Path(args.folder).rglob("*.csv"))):
+    if others := other_tables(args.folder):
         print(f"{len(others)} CSV files of other programs: legid import {others[0]} --guess finds their columns")
     print(f"{len(lines)} of {len(every)} runs" if len(lines) < len(every) else f"{len(every)} runs")
     return 0

@@ -12,7 +12,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "validate", help="compare a model's free-run simulation with runs",
         description="Simulate the model from each run's first state under its measured torque alone, and compare "
-                    "with what was measured. Use runs that the fit has not seen.")
+                    "with what was measured. The model's smoother estimates that state; text and JSON "
+                    "(initial_state) have it. Use runs that the fit has not seen.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     add_rig(parser)
@@ -39,11 +40,8 @@ def run(args: argparse.Namespace) -> int:
     from experiments.models import load_model
     from experiments.provenance import origin_of
     from experiments.reports import (
-        horizons_section,
         horizons_text,
-        validation_section,
         validation_text,
-        walk_section,
         walk_text,
         with_origin,
     )
@@ -78,13 +76,7 @@ def run(args: argparse.Namespace) -> int:
         told = {"simulator": args.simulator} if args.simulator != "legid" else {}
         write_json(args.json, with_origin(found.document | told, origin, setup.datasets))
     if args.html:
-        from experiments.reports import origin_section, write_page
+        from experiments.workflows import write_validation
 
-        write_page(args.html, f"Validation of {args.model}",
-                   f"{model.mechanism.model}, fitted by {model.provenance.method} to "
-                   f"{', '.join(model.provenance.runs)}, simulated against {len(table.runs)} "
-                   f"run{'s' * (len(table.runs) != 1)}.",
-                   [validation_section(table), horizons_section(table),
-                    *([walk_section(steps)] if steps is not None else []),
-                    origin_section(origin, setup.datasets)], origin, trust.verdict())
+        write_validation(args.html, found, model, args.model, origin)
     return 0

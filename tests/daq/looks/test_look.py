@@ -83,6 +83,23 @@ def test_a_wrapped_angle_is_unwrapped(low: float, modulus: float) -> None:
     assert len(fault.rows) == np.sum(np.abs(np.diff(wrapped)) > 0.5 * modulus)
 
 
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("size", [-2.6, 1.3, 3.4])
+def test_a_reading_that_is_off_next_to_a_wrap_is_left_out(seed: int, size: float) -> None:
+    """The wrap was then not undone: hundreds of samples were a turn off, and nothing said so."""
+    rng = np.random.default_rng(seed)
+    angle = motion(seed, size=4.0)
+    low = float(rng.uniform(*np.quantile(angle, (0.1, 0.9))))
+    wrapped = low + (angle - low) % (2.0 * np.pi)
+    row = int(rng.choice(np.flatnonzero(np.abs(np.diff(wrapped)) > 3.0))) + int(rng.integers(-1, 3))
+    wrapped[row] = low + (wrapped[row] - low + size) % (2.0 * np.pi)
+    found = seen("q2_rad", wrapped)
+    assert {fault.what for fault in found.faults} == {"wrapped", "isolated"}
+    assert np.flatnonzero(np.isnan(found.columns["q2_rad"])).tolist() == [row]
+    turned = found.columns["q2_rad"] - angle
+    assert np.nanmax(turned) - np.nanmin(turned) < 1e-6
+
+
 @pytest.mark.parametrize("length", [1, 2, 3])
 @pytest.mark.parametrize("size", [0.4, -3.0, 100.0])
 def test_readings_that_are_off_alone_are_left_out(length: int, size: float) -> None:
@@ -210,3 +227,29 @@ def test_a_counter_in_its_own_unit_wraps_by_its_bits() -> None:
                                   np.random.default_rng(1).random(50)])
 def test_times_that_increase_or_are_unsorted_are_no_counter(time: np.ndarray) -> None:
     assert unwrapped_counter(np.asarray(time, np.float64)) is None
+
+
+def test_a_joint_that_stands_still_under_its_torque_is_left_out() -> None:
+    angle, moment = motion(size=2.0), torque(5)
+    blocked = angle.copy()
+    blocked[1200:1500] = angle[1200] + 4e-4 * np.random.default_rng(1).normal(size=300)
+    blocked[1500:] += blocked[1499] - blocked[1500]
+    found = look(T, {"q1_rad": blocked, "tau1_nm": moment})
+    (fault,) = found.faults
+    assert fault.what == "standstill" and "tau1_nm swings as where the joint moves" in str(fault)
+    ((first, last),) = fault.rows
+    assert abs(first - 1200) < 60 and abs(last - 1500) < 60
+    assert np.isnan(found.columns["q1_rad"][1260:1440]).all() and found.left_out["q1_rad"].sum() == last - first + 1
+    assert not look(T, {"q1_rad": angle, "tau1_nm": moment}).faults
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.8])
+def test_dry_friction_that_holds_a_joint_is_no_fault(share: float) -> None:
+    """The torque stays below what moves the joint."""
+    angle, moment = motion(size=2.0), torque(6)
+    held = angle.copy()
+    held[1200:1500] = angle[1200]
+    held[1500:] += held[1499] - held[1500]
+    weak = moment.copy()
+    weak[1200:1500] *= share * np.quantile(np.abs(moment), 0.8) / np.abs(moment[1200:1500]).max()
+    assert not [fault for fault in look(T, {"q1_rad": held, "tau1_nm": weak}).faults if fault.what == "standstill"]

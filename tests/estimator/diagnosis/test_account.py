@@ -40,6 +40,18 @@ def test_shares_of_the_budget_add_up() -> None:
     assert [(r.what, r.share) for r in budget(table, None)][1] == ("remainder", 1.0)
 
 
+@pytest.mark.parametrize("errors", [(5.0, 1.5, 3.0, 4.0), (5.0, 0.9, 3.0, 4.0), (1.03, 1.01, 1.02, 1.02),
+                                    (1.5, 9.0, 3.0, 4.0)])
+def test_the_shares_of_the_whole_error_are_never_above_it(errors: tuple[float, ...]) -> None:
+    """Noise alone was 1659 % of an excess over noise that was small, and a cause that raises the error -5180 %."""
+    both = explained(900.0, Named("torque_delay"), Named("backlash", 1))
+    _, *rows = budget(table_of(*errors), Answer((both,), 1, (2, 3), 1))
+    assert sum(row.of_error for row in rows) == pytest.approx(1.0)
+    assert all(0.0 <= x <= 1.0 for row in rows for x in (row.of_error, *row.of_error_ci95))
+    causes = sum(row.of_error for row in rows if row.what == "cause")
+    assert causes == pytest.approx(max(1.0 - (errors[1] / errors[0])**2, 0.0))
+
+
 def test_no_budget_is_made_of_noise() -> None:
     assert budget(table_of(0.98, 0.97), Answer((explained(9.0, "drag"),), 1, (), 1)) == ()
 

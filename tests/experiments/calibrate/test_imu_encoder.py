@@ -15,7 +15,7 @@ from experiments.emulation.emulated_rig import record_emulated
 from experiments.excite.multisine import random_multisine
 from experiments.studies.casebook import RIGS
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
-from tests.support.paths import REAL
+from tests.support.paths import DEMO_RIG, REAL
 
 G = 9.81
 RATE = 100.0
@@ -190,3 +190,10 @@ def test_a_public_record_of_an_imu_on_a_shaft(capsys: pytest.CaptureFixture[str]
     assert (found.after[:, 0] < 0.5 * found.before[:, 0]).all()
     assert main(["calibrate", "imu-encoder", str(RECORD), "--rig", str(RIGS / "song_imu.toml"), "--dry-run"]) == 0
     assert "a CSV has calibrated ones" in capsys.readouterr().out
+
+
+def test_without_a_sensor_at_the_pivot_nothing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
+    """It asked for a minute of swinging first."""
+    assert main(["calibrate", "imu-encoder", "--rig", str(DEMO_RIG)]) == 2
+    said = capsys.readouterr()
+    assert "the rig has no [devices.pivot]" in said.err and "swing" not in said.out

@@ -117,3 +117,14 @@ def test_init_writes_every_default_as_a_comment_that_can_be_taken_in() -> None:
     lines = [line.removeprefix("# ") for line in text.split("[tolerance]")[1].splitlines()[3:] if " = " in line]
     assert stated_tolerances(parse_rig(LEG + "\n".join(lines)), leg2()) is not None
     assert len(lines) > 20 and "torque_gain = 0.05" in lines[0]
+
+
+def test_a_value_that_is_not_known_has_no_share_above_the_whole() -> None:
+    found = budgeted()
+    assert found.budget is not None
+    wide = BudgetPart("encoder_offset@1", 14.0 * found.beta[None, :], (0.1,))
+    lost = replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
+                   covariance=found.covariance + wide.covariance)
+    line = next(line for line in fit_text(lost, "leg2").splitlines() if line.startswith("budget:"))
+    assert line.startswith("budget: beta1 is not known: its interval is wider than its value, most by encoder offset 1")
+    assert "%" not in line

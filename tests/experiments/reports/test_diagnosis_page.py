@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator import Verdict
-from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis.result import Diagnosis, Remainder, SensorGain, ShortRuns
 from estimator.model import leg2
 from experiments.reports.diagnosis_figures import axis_label, signature_limits
 from experiments.reports.diagnosis_json import diagnosis_document
@@ -30,10 +30,10 @@ def test_document_is_the_contract() -> None:
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
             "error", "compared", "structure", "stability", "probability", "rotations", "set_aside",
-            "within_tolerance"} == set(found)
+            "within_tolerance", "readings"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
-                                  "ci95": [0.8, 0.97]}
+                                  "ci95": [0.8, 0.97], "of_error": 0.8, "of_error_ci95": [0.7, 0.87]}
     assert found["remainder"] == {"joint": 1, "channel": "torque1", "depends_on": "q v"}
     assert found["immaterial"][0]["effect"] == "sensor_time_skew" and found["error"] == {"before": 3.0, "after": 1.2}
     assert found["within_tolerance"][0] == {"effect": "gyro_scale", "joint": None, "name": "scale_error", "unit": "1",
@@ -90,7 +90,7 @@ def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
 
 def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> None:
     head, rest = page[page.index("<body>"):].split("</header>")
-    assert head.count("<svg") == 1 and axis_label("q1_rad") in head  # 4.4 times the noise; q2: 3.3 times
+    assert head.count("<svg") == 1 and axis_label("q2_rad") in head  # the joint of the cause
     assert head.index("excess torque 0.05 N m") < head.index("Next step: Validate the extended model")
     assert rest.count("<h2>") == rest.count("<details>") == 13
 
@@ -184,3 +184,34 @@ def test_no_column_is_empty_and_no_two_candidates_are_called_alike() -> None:
     assert len(set(named)) == len(named) and "rotor_inertia, joint 1" in named
     (table,) = sections["Parameters"].tables
     assert list(table.header) == ["parameter", "nominal", "unit", "meaning"] and len(table.rows[0]) == 4
+
+
+def test_the_lead_figure_shows_the_joint_of_the_cause() -> None:
+    """It showed the joint of the largest error, the pivot of a leg whose knee has the cause."""
+    found = synthetic()
+    for joint in (1, 2):
+        moved = replace(found, causes=(replace(found.causes[0], joint=joint),))
+        (lead,) = [p for s in diagnosis_sections(moved) for p in s.pictures if p.leads]
+        assert lead.caption.startswith(f"q{joint}_rad in run")
+    unnamed = replace(found, causes=(), remainder=Remainder(1, "torque1", "q v"))
+    (lead,) = [p for s in diagnosis_sections(unnamed) for p in s.pictures if p.leads]
+    assert lead.caption.startswith("q1_rad")
+
+
+def test_a_caption_says_what_paper_shows_and_a_flat_signature_is_no_picture() -> None:
+    found = synthetic()
+    trace = found.traces[0]
+    long = replace(trace, time_s=np.linspace(0.0, 20.0, trace.time_s.size))
+    captions = [p.caption for s in diagnosis_sections(replace(found, traces=(long,))) for p in s.pictures]
+    assert any(c.endswith("On paper, the first 12 of 20 s.") for c in captions)
+    assert not any("12 s:" in c for c in captions)
+    flat = replace(found.signatures[0], before=0.01 * found.signatures[0].curve)
+    section = next(s for s in diagnosis_sections(replace(found, signatures=(flat, found.signatures[1])))
+                   if s.title == "Signature")
+    assert len(section.pictures) == 1 and "absorb it" in section.notes[0]
+
+
+def test_the_text_has_the_corrected_parameters() -> None:
+    text = diagnosis_text(synthetic())
+    assert "These shifts are their bias." in text and "corrected" in text
+    assert re.search(r"beta1 +0\.1000 +\S+ \.\. \S+ +0\.1100", text)

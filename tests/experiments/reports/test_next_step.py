@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 
 from estimator import VERDICTS, Verdict
-from estimator.diagnosis import BudgetRow, Remainder
+from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
-from experiments.reports.diagnosis_figures import waterfall
 from experiments.reports.diagnosis_json import diagnosis_document
+from experiments.reports.diagnosis_page import verdict_box
 from experiments.reports.diagnosis_text import diagnosis_text
-from experiments.reports.next_step import RECORD, SENSORS, next_step, variable_of
+from experiments.reports.next_step import RECORD, SENSORS, Files, next_step, variable_of, with_names
 from tests.support.diagnoses import synthetic
 
 
@@ -60,10 +60,24 @@ def test_commands_for_sensors_exist() -> None:
         assert options_of(command.split()[1]) is not None
 
 
-def test_a_share_of_many_times_the_error_is_a_number_and_no_bar() -> None:
-    rows = [BudgetRow("nominal", 1.0, (1.0, 1.0)), BudgetRow("cause", -51.8, (-60.0, -40.0), "backlash", 2),
-            BudgetRow("remainder", 0.4, (0.3, 0.5))]
-    svg = waterfall(rows)
-    assert "-5180 %, not to scale" in svg
-    ticks = [float(x.replace("−", "-")) for x in re.findall(r">([−-]?\d+)<", svg)]
-    assert max(map(abs, ticks)) < 1000
+FILES = Files(("a.csv", "my run.csv"), "leg.toml", "ext.json", "d.json")
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_a_next_step_names_the_files_that_were_given(verdict: Verdict) -> None:
+    found = replace(synthetic(), verdict=verdict)
+    step = with_names(next_step(found), FILES)
+    assert step in diagnosis_text(found, FILES) and verdict_box(found, files=FILES).action == f"Next step: {step}"
+    assert "RIG" not in step and "MODEL.json" not in step and not re.search(r"(?<!NEW_)RUN", step)
+
+
+def test_a_model_that_was_written_is_not_made_again_and_a_rig_inside_runs_is_not_asked_for() -> None:
+    found = replace(synthetic(), verdict="named")
+    assert with_names(next_step(found), FILES) == ("Validate the extended model on new runs: legid validate ext.json "
+                                                   "NEW_RUN... --rig leg.toml")
+    inside = with_names(next_step(found), Files(("a.mcap",)))
+    assert inside.endswith("legid diagnose a.mcap --model-out MODEL.json, then legid validate MODEL.json NEW_RUN...")
+    many = Files(("r.csv",) * 20, "x.toml")
+    assert with_names("Fit: legid fit RUN... --rig RIG", many).endswith("RUN... --rig x.toml")
+    session = "legid excite --rig RIG --session NEXT"
+    assert with_names(session, Files(("a.mcap",))) == session

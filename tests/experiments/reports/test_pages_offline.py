@@ -16,6 +16,7 @@ from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import save_model
+from experiments.provenance import origin_of
 from experiments.reports.chart import Line
 from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
 from experiments.reports.figures import BLUE, picture_lines
@@ -24,12 +25,14 @@ from experiments.reports.fit_page import fit_sections, fit_summary, truth_sectio
 from experiments.reports.html import Section, Table, write_page
 from experiments.reports.numbers import estimates_of
 from experiments.reports.run_agreement import MOST_RUNS
+from experiments.session import prepare
 from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
 from experiments.studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
 from tests.support.fits import synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.paths import FIXTURES
 
 pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
 WIDTHS = ("[...document.querySelectorAll('figure')].map(f => "
@@ -45,7 +48,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("pages")
     result, found = synthetic_fit(), synthetic()
     write_page(out / "fit.html", "Fit of leg2: run1.mcap", fit_summary(result, "leg2"), fit_sections(result))
-    write_diagnosis(out / "diagnosis.html", found, "leg2")
+    prepared = prepare([FIXTURES / "healthy.mcap"], load_rig(RIG))
+    write_diagnosis(out / "diagnosis.html", found, prepared, origin_of([FIXTURES / "healthy.mcap"]))
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
                [Section("What was hidden", ["Something."]), *diagnosis_sections(found),

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import legid
 from experiments.cli import main
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.paths import FIXTURES
 
 RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n[sampling]\nrate_hz = 50.0\n'
 
@@ -28,8 +30,6 @@ def test_a_commanded_angle_asks_for_its_servo(tmp_path: Path, capsys: pytest.Cap
 
 def test_a_run_is_a_plan_by_its_measured_torque_and_a_model_prints_short(tmp_path: Path,
                                                                          capsys: pytest.CaptureFixture[str]) -> None:
-    import legid
-
     run = pendulum_run("r", 2)
     file = written(tmp_path, time_s=run.time_s, q1_rad=run["q1_rad"], tau1_nm=run["tau1_nm"])
     model, out = tmp_path / "m.json", tmp_path / "out.csv"
@@ -52,3 +52,15 @@ def test_a_folder_of_csv_files_is_listed(tmp_path: Path, capsys: pytest.CaptureF
     (tmp_path / "logs/a.csv").write_text("t,angle\n0,0\n1,0\n")
     assert main(["runs", str(tmp_path / "logs")]) == 0
     assert "1 CSV files of other programs: legid import" in capsys.readouterr().out
+    assert main(["runs", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "1 CSV files of other programs: legid import" in out and "1 runs" in out
+
+
+def test_a_native_run_is_a_plan_by_its_measured_torque(tmp_path: Path) -> None:
+    model, out = tmp_path / "m.json", tmp_path / "out.csv"
+    assert main(["fit", str(FIXTURES / "healthy.mcap"), "--model-out", str(model)]) == 0
+    assert main(["simulate", str(model), "--plan", str(FIXTURES / "healthy.mcap"), "--out", str(out)]) == 0
+    made, run = np.genfromtxt(out, delimiter=",", names=True), legid.load(FIXTURES / "healthy.mcap")
+    known = run["tau2_nm"][np.isfinite(run["tau2_nm"])]
+    np.testing.assert_allclose(made["tau2_cmd_nm"][:100], known[:100], rtol=1e-6)

@@ -1,0 +1,39 @@
+"""Standstill: parts of a run in which an angle stays where it is, though its torque swings as where it moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from daq.dataset import FloatArray
+from daq.looks.plateaus import smallest_step
+
+STILL_SHARE, STILL_STEPS = 0.01, 1.5
+"""An angle stands still where it stays within this share of its range, or within so many of its smallest steps."""
+LEAST_S, LEAST_ROWS = 0.3, 12
+"""Shortest standstill that is looked at."""
+MOVING = 0.2
+"""Share of the run, at least, in which the joint moves: else nothing says how far a torque moves it."""
+INNER, OUTER = 0.05, 0.1
+"""The torque of a standstill leaves so many of its samples outside the torque that moves the joint in all but the
+second share of its samples, in both directions. Dry friction holds a joint against less than what moves it."""
+
+
+def stands_under_torque(time_s: FloatArray, q: FloatArray, tau: FloatArray) -> list[tuple[int, int]]:
+    """[start, stop) of the parts in which q (n,) stands still under a torque (n,) that moves it elsewhere."""
+    window = max(LEAST_ROWS, round(LEAST_S / max(float(np.median(np.diff(time_s))), 1e-9)))
+    if q.size < 4 * window or np.ptp(q) == 0.0:
+        return []
+    level = max(STILL_SHARE * float(np.ptp(q)), STILL_STEPS * smallest_step(q))
+    still = maximum_filter1d(q, window) - minimum_filter1d(q, window) <= level
+    whole = maximum_filter1d(still.astype(np.int8), window) > 0
+    if np.mean(~whole) < MOVING:
+        return []
+    low, high = np.quantile(tau[~whole], [OUTER, 1.0 - OUTER])
+    edges = np.diff(np.concatenate(([False], whole, [False])).astype(np.int8))
+    found = []
+    for start, stop in zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist()):
+        own_low, own_high = np.quantile(tau[start:stop], [INNER, 1.0 - INNER])
+        if own_low <= low < high <= own_high:
+            found.append((start, stop))
+    return found

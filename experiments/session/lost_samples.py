@@ -1,0 +1,42 @@
+"""Runs in which one sensor has lost or doubled samples: its readings behind the place are moved back to their times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq import Dataset, Flag, ReadingFault
+from estimator import FitError, FitOptions
+from estimator.calibration import find_lost, lost_text, without_loss
+from estimator.model import Mechanism
+from estimator.signals import is_plain
+
+MOST_PLACES = 3
+"""Places in one run that are corrected."""
+
+
+def with_lost_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[Dataset, ...]:
+    """The runs, those with lost or doubled samples corrected, each place a fault of the readings."""
+    if not is_plain(mechanism, options):
+        return tuple(datasets)
+    return tuple(_corrected(data, mechanism, options) for data in datasets)
+
+
+def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Dataset:
+    for _ in range(MOST_PLACES):
+        try:
+            with np.errstate(all="ignore"):
+                lost = find_lost(data, mechanism, options)
+        except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it
+            return data
+        if lost is None:
+            return data
+        text = lost_text(lost, float(data.time_s[lost.row]))
+        row = lost.row + 1
+        faults = tuple(ReadingFault(column, "lost", ((row, row),), float(lost.samples), "joined", text)
+                       for column in lost.columns)
+        data = replace(without_loss(data, lost), flags=(*data.flags, Flag("readings", text)),
+                       readings=(*data.readings, *faults))
+    return data

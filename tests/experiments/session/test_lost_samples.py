@@ -1,0 +1,85 @@
+"""Samples that one device has lost against the others: named at their place, and moved back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import Dataset, FloatArray
+from daq.rig import parse_rig
+from experiments.cli import main
+from experiments.session.lost_samples import with_lost_samples
+from experiments.session.setup import setup_of
+from tests.support.driven_pendulum import pendulum_run
+from tests.support.mujoco_leg import Leg, record
+
+IMU = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
+ENCODERS = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
+GYRO = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
+
+
+def lose(x: FloatArray, row: int, count: int) -> FloatArray:
+    """x (n,) without `count` samples from `row` on, or with the last ones twice where negative."""
+    out = np.concatenate([x[:row], x[row + count:]])
+    return np.concatenate([out, np.full(max(x.size - out.size, 0), out[-1])])[:x.size]
+
+
+def leg(seed: int, rig: str, columns: tuple[str, ...] = (), row: int = 0, count: int = 0) -> tuple[Dataset, Dataset]:
+    """A run before and after `columns` lose samples."""
+    run = record(Leg(), np.random.default_rng(seed))
+    names = ("q2_rad", "tau2_nm", *(GYRO if rig is IMU else ("q1_rad",)))
+    right = replace(run, columns={name: run[name] for name in names})
+    return right, replace(right, columns={name: lose(x, row, count) if name in columns else x
+                                          for name, x in right.columns.items()})
+
+
+def corrected(data: Dataset, rig: str) -> Dataset:
+    setup = setup_of([data], parse_rig(rig))
+    (found,) = with_lost_samples(setup.datasets, setup.mechanism, setup.options)
+    return found
+
+
+@pytest.mark.parametrize(("rig", "columns"), [(IMU, ("q2_rad",)), (ENCODERS, ("q2_rad",)), (ENCODERS, ("tau2_nm",))])
+@pytest.mark.parametrize(("row", "count"), [(900, 4), (1300, -3)])
+def test_lost_samples_are_named_and_moved_back(rig: str, columns: tuple[str, ...], row: int, count: int) -> None:
+    right, wrong = leg(3, rig, columns, row, count)
+    found = corrected(wrong, rig)
+    faults = found.readings
+    assert {fault.what for fault in faults} == {"lost"} and len({fault.rows for fault in faults}) == 1
+    assert abs(faults[0].rows[0][0] - row) < 50 and abs(faults[0].size) == abs(count)
+    assert ("lost 4 samples" in str(faults[0])) == (faults[0].size == 4)
+    far = np.abs(np.arange(len(right)) - row) > 60  # slow motion places a row no better
+    if faults[0].column in columns:
+        difference = found[columns[0]][far] - right[columns[0]][far]
+    else:  # the others, by as much the other way: then all columns agree on that other time
+        moved = lose(right[faults[0].column], row, count)
+        difference = (found[faults[0].column] - moved)[far]
+    assert np.nanmax(np.abs(difference[:-abs(count) - 20])) < 1e-9
+
+
+@pytest.mark.parametrize("rig", [IMU, ENCODERS])
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_healthy_runs_lose_nothing(rig: str, seed: int) -> None:
+    right, _ = leg(seed, rig)
+    assert corrected(right, rig).readings == ()
+
+
+@pytest.mark.parametrize("count", [3, -5])
+def test_a_constant_delay_is_no_loss(count: int) -> None:
+    right, _ = leg(3, ENCODERS)
+    late = replace(right, columns={**right.columns, "tau2_nm": np.roll(right["tau2_nm"], count)})
+    assert corrected(late, ENCODERS).readings == ()
+
+
+def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = pendulum_run("r", 4)
+    half = len(run) // 2
+    columns = [run.time_s, run["q1_rad"], lose(run["tau1_nm"], half, 4)]
+    np.savetxt(tmp_path / "r.csv", np.column_stack(columns), delimiter=",", comments="", header="time_s,q1_rad,tau1_nm")
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
+    assert main(["fit", str(tmp_path / "r.csv"), "--rig", str(tmp_path / "rig.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "against the other columns at about" in said
+    beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])
+    assert beta1 == pytest.approx(0.05, rel=0.1)
