@@ -22,6 +22,7 @@ from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwr
 from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.expression import ANY, names_in, with_computed
 from experiments.exchange.imported import ImportedFile, Table, Wrong
+from experiments.exchange.registers import signed
 from experiments.exchange.units import factor, plain_unit
 
 ColumnMap = Mapping[str, Column]
@@ -71,7 +72,8 @@ def require_scales(columns: ColumnMap, where: str) -> None:
         if name.startswith("tau") and plain_unit(column.unit) in RAW and column.scale == 1.0:
             raise InputError(f"{where}, columns.{name}", f"is in {column.unit} and has no scale",
                              f"give scale, the torque at the joint per {column.unit}, gear included; or leave unit out "
-                             "if the column is in N m already")
+                             "if the column is in N m already; or, if the joint follows a command that is in the "
+                             "file, take the torque out of the map")
 
 
 def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
@@ -166,7 +168,7 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
         if wraps is not None:
             clock, flags[TIME] = wraps.time, wraps.flag(TIME)
         clocks[key] = clock - column.delay
-        read = table.columns[column.name]
+        read = signed(table.columns[column.name], column)
         scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
         far = np.flatnonzero(np.abs(values) > MOST)
