@@ -36,8 +36,8 @@ def is_contract_column(name: str) -> bool:
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
         return match[3] in _ENDINGS[match[1]]
-    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", VOLTAGE, *IMU,
-                                                         *OPTIONAL)
+    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v",
+                                                         VOLTAGE, *IMU, *OPTIONAL)
 
 
 class Missing(NamedTuple):

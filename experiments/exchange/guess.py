@@ -67,11 +67,9 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
 
 def _guess_one(imported: ImportedFile, gravity_mps2: float) -> Guess:
     """The guess for a file with one run."""
-    following = guess_following(imported, gravity_mps2)
-    if following is not None:
-        return following
-    found = _guess_measured(imported, gravity_mps2)
-    return with_commands(found, imported)
+    following, apart = guess_following(imported, gravity_mps2)
+    found = following or with_commands(_guess_measured(imported, gravity_mps2), imported)
+    return replace(found, warnings=[*found.warnings, *apart])
 
 
 def _guess_measured(imported: ImportedFile, gravity_mps2: float) -> Guess:

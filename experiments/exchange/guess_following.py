@@ -37,12 +37,15 @@ MOST_PRESENT = 0.9
 VOLTS = 'duty and volts: legid init --from RUN.csv writes input = "voltage"; parameters are then in volt units'
 
 
-def guess_following(imported: ImportedFile, gravity_mps2: float) -> Guess | None:
-    """The guess for joints that follow commands and have no torque, or a current in counts alone; None for others."""
+def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess | None, list[str]]:
+    """The guess for joints that follow commands and have no torque, or a current in counts alone; None for others.
+
+    With it a sentence for each command that nothing follows.
+    """
     angles, commands = measured_angles(imported), commands_of(imported)
     counts = any(angle_register(imported, name) for name in angles)
     if not commands or not angles or (fitting(imported, "tau", True) and not counts):
-        return None
+        return None, []
     imu = has(imported, "gyro", "accel")
     if len(angles) > MOST_LINKS and not imu:
         raise too_many(imported, angles)
@@ -60,13 +63,13 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> Guess | None
         joints = {j + 1: command for j, command in pairs.items()}
     read = _read_commands(imported, clock, order, joints)
     apart = [text for one in read.values() if (text := not_following(one))]
-    if apart and len(apart) == len(read):
-        return None
+    if len(apart) == len(read):
+        return None, apart
     if imu or (2 in order and len(order) == 2 and list(joints) == [2]):
-        return _following_leg(imported, clock, reasons, order, read[2], gravity_mps2)
+        return _following_leg(imported, clock, reasons, order, read[2], gravity_mps2), []
     if len(order) == 1:
-        return _following_joint(imported, clock, reasons, read[1])
-    return _following_chain(imported, clock, reasons, order, read, apart)
+        return _following_joint(imported, clock, reasons, read[1]), []
+    return _following_chain(imported, clock, reasons, order, read), apart
 
 
 def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapping[int, str],
@@ -92,7 +95,7 @@ def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: 
 
 
 def _following_chain(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str],
-                     order: Mapping[int, str], read: Mapping[int, Command], apart: list[str]) -> Guess:
+                     order: Mapping[int, str], read: Mapping[int, Command]) -> Guess:
     """The guess for several joints that follow commands: units by names, the rest as the file has it."""
     columns: dict[str, Column] = {}
     notes = dict(reasons)
@@ -104,7 +107,7 @@ def _following_chain(imported: ImportedFile, clock: dict[str, Column], reasons: 
             columns[f"q{j}_cmd_rad"] = read[j].command
             notes[f"q{j}_cmd_rad"] = followed(read[j])
     told = [f"joints {', '.join(map(repr, order.values()))} are taken for a chain in one plane: check that each angle "
-            "counts against the link before, in one sense, and the first from hanging", *apart,
+            "counts against the link before, in one sense, and the first from hanging",
             servo_hint([j for j in order if f"q{j}_cmd_rad" in columns])]
     return Guess(columns | clock, notes, told, [], apply_map(imported, columns | clock))
 

@@ -91,6 +91,7 @@ def test_a_command_that_nothing_follows_is_left_out(tmp_path: Path) -> None:
     other = np.sin(2.0 * np.pi * 3.7 * run.time_s + 0.3)
     found = guess_map(read_imported(written(tmp_path / "x.csv", time=run.time_s, angle=run["q1_rad"], target=other)))
     assert set(found.columns) == {"time_s", "q1_rad"}
+    assert any("'angle' does not follow 'target'" in text for text in found.warnings)
 
 
 def test_a_torque_stays_and_the_command_comes_along(tmp_path: Path) -> None:
