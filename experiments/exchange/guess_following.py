@@ -18,10 +18,13 @@ from experiments.exchange.guess_result import Guess
 from experiments.exchange.guess_servo import (
     Command,
     commands_of,
+    feedforwards_of,
     find_servo_joint,
     followed,
+    is_rate_of,
     not_following,
     pair_commands,
+    rates_of,
     read_command,
     servo_hint,
 )
@@ -29,6 +32,7 @@ from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import measured_angles, too_many
 from experiments.exchange.layouts import duty_and_volts, stated
 from experiments.exchange.registers import angle_register
+from experiments.exchange.units import unit_in_name
 
 MOST_LINKS = 5
 """Of a chain whose columns are guessed."""
@@ -70,6 +74,31 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
     if len(order) == 1:
         return _following_joint(imported, clock, reasons, read[1]), []
     return _following_chain(imported, clock, reasons, order, read), apart
+
+
+def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
+    """`guess` with the commanded rates of its commands, where these are their derivatives, and with feedforwards."""
+    commands = {name: column for name, column in guess.columns.items() if name.endswith("_cmd_rad")}
+    named = [column.name for column in commands.values()]
+    columns, notes = dict(guess.columns), dict(guess.notes)
+    time = {TIME: columns[TIME]} if TIME in columns else {}
+    for k, rate in pair_commands(named, rates_of(imported)).items():
+        name, command = list(commands.items())[k]
+        unit = unit_in_name(rate, "gyro_radps") or (f"{command.unit}/s" if command.unit else "")
+        wanted, own = name.replace("q", "qd", 1).replace("rad", "radps"), Column(name=rate, unit=unit)
+        run = apply_map(imported, {**time, name: command, wanted: own})
+        sign = is_rate_of(run[wanted], run[name], run.rate_hz)
+        if sign:
+            columns[wanted] = structs.replace(own, sign=1 if sign > 0 else -1)
+            notes[wanted] = f"the derivative of {command.name!r}"
+    for k, torque in pair_commands(named, feedforwards_of(imported)).items():
+        name, command = list(commands.items())[k]
+        wanted = name.replace("q", "tau", 1).replace("cmd_rad", "ff_nm")
+        columns[wanted] = Column(name=torque, unit=unit_in_name(torque, wanted), sign=command.sign)
+        notes[wanted] = "by its name, a feedforward"
+    if columns == guess.columns:
+        return guess
+    return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
 
 
 def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapping[int, str],

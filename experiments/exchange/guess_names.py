@@ -23,7 +23,7 @@ PATTERNS = {
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
 NOT_MEASURED = (r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip|(?<![a-z])action"
-                r"|joint_trajectory")
+                r"|joint_trajectory|feed_?forward|(?<![a-z])ff(?![a-z])")
 WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax",
          "tau2_nm": "torque, effort, tau, current or iq, or, for a drive that follows an angle, cmd, goal or target",
          "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}

@@ -25,6 +25,10 @@ from experiments.exchange.imported import ImportedFile
 
 A_COMMAND = r"goal|target|cmd|command|set_?point|desired|(?<![a-z])action|joint_trajectory"
 """Names of commands that need no word of an angle."""
+A_RATE = r"vel|speed|rate|dot|(?<![a-z])qd"
+A_FEEDFORWARD = r"feed_?forward|(?<![a-z])ff(?![a-z])"
+SURE_RATE = 0.9
+"""Correlation with the derivative of the command beyond which a column is its rate."""
 FOLLOWS = 0.5
 """Correlation of an angle with its command, the best of all delays, below which it does not follow it."""
 LATEST_S = 0.5
@@ -74,7 +78,7 @@ def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: C
     q, c = (filled(run[name]) for name in names)
     follows, late = _following(q, c, run.rate_hz)
     lead = c[: c.size - late] if late else c
-    slope = max(abs(float(np.polyfit(lead, q[late:], 1)[0])), 1e-9) if np.ptp(lead) > 0.0 else 1.0
+    slope = max(abs(follows) * float(q[late:].std()) / max(float(lead.std()), 1e-30), 1e-9)
     angle, command = _in_units(angle, command, slope)
     return Command(angle, structs.replace(command, sign=1 if follows > 0 else -1), follows, late / run.rate_hz)
 
@@ -166,3 +170,26 @@ def servo_hint(joints: Sequence[int]) -> str:
     named = ", ".join(f"q{j}_cmd_rad" for j in joints)
     return (f"no torque: the drive follows {named}. The rig file needs [servo], which legid init --from RUN.csv "
             "writes. Give its gain in N m/rad there, or one known parameter to legid fit with --fix")
+
+
+def rates_of(imported: ImportedFile) -> list[str]:
+    """Columns that are commanded rates by their names, in the file's order."""
+    return [name for name in imported.names if re.search(NOT_MEASURED, name, re.IGNORECASE)
+            and re.search(A_RATE, name, re.IGNORECASE) and kind_of(name) != "tau"
+            and changes(imported.table_of(name).columns[name])]
+
+
+def feedforwards_of(imported: ImportedFile) -> list[str]:
+    """Columns that are feedforward torques by their names, in the file's order."""
+    return [name for name in imported.names if re.search(A_FEEDFORWARD, name, re.IGNORECASE)
+            and not re.search(A_RATE, name, re.IGNORECASE) and changes(imported.table_of(name).columns[name])]
+
+
+def is_rate_of(rate: FloatArray, command: FloatArray, rate_hz: float) -> int:
+    """1 or -1 where `rate` (n,) [rad/s] is the derivative of `command` (n,) [rad] or its negative, else 0."""
+    made = np.gradient(filled(command), 1.0 / rate_hz)
+    cutoff = band_hz(rate_hz)
+    slow, wanted = lowpass(filled(rate), cutoff, rate_hz), lowpass(made, cutoff, rate_hz)
+    size = float(slow.std()) / max(float(wanted.std()), 1e-30)
+    alike = _correlation(slow, wanted)
+    return int(np.sign(alike)) if abs(alike) > SURE_RATE and 1.0 / ALIKE < size < ALIKE else 0

@@ -31,7 +31,7 @@ BAM_LOAD, BAM_VOLTS = "entries.load", "entries.input_volts"
 PACE = re.compile(r"(des_)?dof_pos\b")
 RANGE = 100.0
 """Per cent of the calibrated range, to either side."""
-MOST_INFO = 1 << 20
+MOST_INFO, MOST_EPISODES = 1 << 20, 10_000
 BAM_DUTY = {"xl330": 4096 / (2 * np.pi) / (256 * PWM_FULL), "mx106": 0.158, "mx64": 0.158, "xl320": 0.05048199,
             "sts3215": 0.166}
 """Motor -> duty per rad of error and count of the register kp (bam/dynamixel/actuator.py, bam/feetech/actuator.py)."""
@@ -50,7 +50,9 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
     if not called:
         return imported
     episodes = table.columns.get(EPISODE, np.zeros(table.columns["timestamp"].size))
-    numbers = np.unique(episodes)
+    numbers = np.unique(episodes[np.isfinite(episodes)])
+    if not 0 < numbers.size <= MOST_EPISODES:
+        return imported
     tables = []
     for k, number in enumerate(numbers, 1):
         rows, cell = episodes == number, f"{{{k}}}" if numbers.size > 1 else ""
@@ -95,7 +97,8 @@ def duty_and_volts(imported: ImportedFile) -> dict[str, Column]:
     """The columns `duty` and `volts` of a layout, or of them what it has; empty for other files."""
     if BAM_LOAD in imported.names and BAM_VOLTS in imported.names:
         load, volts = imported.table_of(BAM_LOAD).columns[BAM_LOAD], {"volts": Column(name=BAM_VOLTS)}
-        if not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
+        load = load[np.isfinite(load)]
+        if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
             return volts  # of other servos BAM does not say what its load is
         counts = np.abs(load).max() > 1.0
         return volts | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else
@@ -120,8 +123,8 @@ def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[
 
 def _lerobot(imported: ImportedFile, used: Mapping[str, Column]) -> str:
     bare = [column.name.partition("{")[0] for name, column in used.items() if name.endswith("_rad")]
-    far = max((float(np.nanmax(np.abs(values))) for table in imported.tables for name, values in table.columns.items()
-               if name.partition("{")[0] in bare), default=0.0)
+    far = max((float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) for table in imported.tables
+               for name, values in table.columns.items() if name.partition("{")[0] in bare), default=0.0)
     if far > RANGE:
         return (f"LeRobot's angles go to {far:.0f}, so they are in degrees; their zero is the middle of the calibrated "
                 "range, not where a link hangs: set offset")

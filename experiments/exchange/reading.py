@@ -119,7 +119,7 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
         raise InputError(str(path), f"gives no {lacking.column}",
-                         lacking.remedy if imported.names == list(run.columns) else
+                         lacking.remedy if imported.names == list(run.columns) or "[servo]" in lacking.remedy else
                          f"map a column to it by [columns.{lacking.column}] in the rig file, or by legid import")
     return run
 

@@ -25,6 +25,8 @@ TURN = 4096
 PWM_FULL, LOAD_FULL = 885, 1000
 COUNTS = 400
 """Whole numbers beyond it are counts, not degrees of one turn."""
+MOST_VOLTS = 30.0
+"""Of such a servo's supply; larger numbers are of 0.1 V."""
 DYNAMIXEL, FEETECH = "Dynamixel", "Feetech"
 
 
@@ -72,15 +74,18 @@ def duty_register(imported: ImportedFile) -> tuple[Column, Column] | None:
     if not volts or not (pwm or load) or not _moves(imported, pwm or load):
         return None
     read = imported.table_of(volts).columns[volts]
-    supply = Column(name=volts, scale=0.1 if np.nanmedian(read) > 30.0 else 1.0)
+    read = read[np.isfinite(read)]
+    supply = Column(name=volts, scale=0.1 if read.size and np.median(read) > MOST_VOLTS else 1.0)
     if pwm:
         return Column(name=pwm, scale=1.0 / PWM_FULL, bits=16), supply
     return Column(name=load, scale=1.0 / LOAD_FULL, sign_bit=10), supply
 
 
 def _moves(imported: ImportedFile, name: str) -> bool:
+    """Its numbers are counts, and differ."""
     values = imported.table_of(name).columns[name]
-    return bool(np.nanmax(values, initial=0.0) > 2.0 and np.nanmin(values) != np.nanmax(values))
+    values = values[np.isfinite(values)]
+    return bool(values.size and values.max() > 2.0 and np.ptp(values) > 0.0)
 
 
 def _plain(name: str) -> str:

@@ -86,6 +86,23 @@ def test_a_leg_s_knee_follows_a_command(sign: int, tmp_path: Path) -> None:
     assert (rig.mechanism.model, rig.mechanism.actuated) == ("leg2", (2,)) and rig.servo is not None
 
 
+@pytest.mark.parametrize(("unit", "sign"), [("deg", 1), ("", -1)])
+def test_a_commanded_rate_and_a_feedforward_come_along(unit: str, sign: int, tmp_path: Path) -> None:
+    run = servo_run()
+    scale = DEGREE if unit else 1.0
+    rate = np.gradient(run["q1_cmd_rad"], 0.01)
+    other = np.sin(2.0 * np.pi * 2.9 * run.time_s)
+    columns = {"elbow_pos_" + unit: run["q1_rad"] / scale, "elbow_cmd_" + unit: run["q1_cmd_rad"] / scale,
+               "elbow_vel_cmd": sign * rate / scale, "elbow_torque_ff_nm": 0.3 * np.sin(run["q1_cmd_rad"])}
+    found = guess_map(read_imported(written(tmp_path / "x.csv", time=run.time_s, **columns)))
+    assert set(found.columns) == {"time_s", "q1_rad", "q1_cmd_rad", "qd1_cmd_radps", "tau1_ff_nm"}
+    assert found.run["qd1_cmd_radps"] == pytest.approx(rate, abs=1e-5)
+    assert found.run["tau1_ff_nm"] == pytest.approx(0.3 * np.sin(run["q1_cmd_rad"]), abs=1e-6)
+    columns["elbow_vel_cmd"] = other
+    found = guess_map(read_imported(written(tmp_path / "y.csv", time=run.time_s, **columns)))
+    assert "qd1_cmd_radps" not in found.columns
+
+
 def test_a_command_that_nothing_follows_is_left_out(tmp_path: Path) -> None:
     run = servo_run()
     other = np.sin(2.0 * np.pi * 3.7 * run.time_s + 0.3)
