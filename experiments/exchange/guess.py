@@ -30,7 +30,7 @@ from experiments.exchange.guess_chain import driven_joints, find_chain
 from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_rates
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_leg import guess_leg
-from experiments.exchange.guess_names import WORDS, WRENCH, changes, fitting, has, lacking, time_column
+from experiments.exchange.guess_names import WORDS, WRENCH, changes, fitting, has, lacking, time_column, usable
 from experiments.exchange.guess_result import Guess
 from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
@@ -130,7 +130,7 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
     values = [imported.table_of(name).columns[name] for name in names]
     if len({x.size for x in values}) != 1:  # signals with times of their own
         return names
-    known = np.isfinite(np.array(values)).all(axis=0)
+    known = usable(np.array(values)).all(axis=0)
     if known.sum() < len(names) + 2:
         return names
     centred = np.array([x[known] - x[known].mean() for x in values])

@@ -87,7 +87,7 @@ def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
         unit = unit_in_name(rate, "gyro_radps") or (f"{command.unit}/s" if command.unit else "")
         wanted, own = name.replace("q", "qd", 1).replace("rad", "radps"), Column(name=rate, unit=unit)
         run = apply_map(imported, {**time, name: command, wanted: own})
-        sign = is_rate_of(run[wanted], run[name], run.rate_hz)
+        sign = is_rate_of(run[wanted], run[name], run.rate_hz) if wanted in run and name in run else 0
         if sign:
             columns[wanted] = structs.replace(own, sign=1 if sign > 0 else -1)
             notes[wanted] = f"the derivative of {command.name!r}"

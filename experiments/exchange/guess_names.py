@@ -6,9 +6,10 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Column, FloatArray, InputError
-from daq.runs import unwrapped_counter
+from daq.runs import MOST, unwrapped_counter
 from experiments.exchange.column_map import TIME
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import BRACKETED, factor, unit_in_name
@@ -75,8 +76,14 @@ def lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inpu
                       "docs/exchange.md")
 
 
+def usable(values: FloatArray) -> NDArray[np.bool_]:
+    """(n,) True for numbers that a reading may have."""
+    return np.isfinite(values) & (np.abs(values) <= MOST)
+
+
 def changes(values: FloatArray) -> bool:
-    known = values[np.isfinite(values)]
+    """Whether a column (n,) has three usable numbers, and not one number alone."""
+    known = values[usable(values)]
     return bool(known.size > 2 and np.ptp(known) > LEAST)
 
 
@@ -112,7 +119,7 @@ def fitting(imported: ImportedFile, kind: str, measured: bool) -> list[str]:
 def triad(imported: ImportedFile, kind: str) -> list[str]:
     """Columns of a sensor with up to three axes."""
     names = [name for name in imported.names if kind_of(name) == kind and "bias" not in name.lower()
-             and np.isfinite(imported.table_of(name).columns[name]).sum() > 2]
+             and usable(imported.table_of(name).columns[name]).sum() > 2]
     axes = [name for name in names if AXIS.search(name)]
     return (axes or names)[:3]
 

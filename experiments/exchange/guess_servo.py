@@ -75,6 +75,8 @@ def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: C
 
     `names` are the columns of angle and command in `run`, read by the units that `angle` and `command` state.
     """
+    if any(name not in run or not np.isfinite(run[name]).any() for name in names):  # larger than any reading
+        return Command(angle, command, 0.0, 0.0)
     q, c = (filled(run[name]) for name in names)
     follows, late = _following(q, c, run.rate_hz)
     lead = c[: c.size - late] if late else c
