@@ -29,6 +29,8 @@ STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
 BAM_ANGLE, BAM_GOAL, BAM_ON = "entries.position", "entries.goal_position", "entries.torque_enable"
 BAM_LOAD, BAM_VOLTS = "entries.load", "entries.input_volts"
 PACE = re.compile(r"(des_)?dof_pos\b")
+HOBBY = r"so_?10\d|so_follower|koch|omx|lekiwi|moss"
+"""Types of robots of Dynamixel and Feetech servos (huggingface/lerobot, robots/)."""
 RANGE = 100.0
 """Per cent of the calibrated range, to either side."""
 MOST_INFO, MOST_EPISODES = 1 << 20, 10_000
@@ -44,7 +46,7 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
     """
     if not any(name.startswith(f"{STATE}[") for name in imported.names) or "timestamp" not in imported.names:
         return imported
-    names = _joint_names(path)
+    names, robot = _robot_of(path)
     table = imported.table_of("timestamp")
     called = {name: _called(name, names) for name in table.columns if name.startswith((f"{STATE}[", f"{ACTION}["))}
     if not called:
@@ -58,7 +60,8 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
         rows, cell = episodes == number, f"{{{k}}}" if numbers.size > 1 else ""
         tables.append(Table({f"{new}{cell}": table.columns[old][rows] for old, new in called.items()},
                             table.columns["timestamp"][rows]))
-    return replace(imported, tables=tuple(tables), facts={**imported.facts, "layout": "lerobot"})
+    return replace(imported, tables=tuple(tables), facts={**imported.facts, "layout": "lerobot",
+                                                             "lerobot.robot": robot})
 
 
 def _called(name: str, names: Mapping[str, list[str]]) -> str:
@@ -67,26 +70,28 @@ def _called(name: str, names: Mapping[str, list[str]]) -> str:
     return f"{kind}.{known[int(number) - 1]}" if int(number) <= len(known) else name
 
 
-def _joint_names(path: Path) -> dict[str, list[str]]:
-    """Names of the numbers in `action` and `observation.state`, by the info.json of the data set that `path` is in."""
+def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
+    """Names of the numbers in `action` and `observation.state`, and the robot's type, by the info.json of the data set
+    that `path` is in."""
     info = next((folder / "meta" / "info.json" for folder in path.resolve().parents[:4]
                  if (folder / "meta" / "info.json").is_file()), None)
     if info is None:
-        return {}
+        return {}, ""
     try:
-        features = json.loads(read_bytes(info, MOST_INFO))["features"]
+        content = json.loads(read_bytes(info, MOST_INFO))
+        features, robot = content["features"], str(content.get("robot_type") or "")[:40]
         found = {kind: features.get(kind, {}).get("names") or [] for kind in (ACTION, STATE)}
         flat = {kind: next(iter(some.values())) if isinstance(some, dict) else some for kind, some in found.items()}
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration, OSError, RecursionError):
         raise InputError(str(info), "is no info.json of a LeRobot data set", "give the data set as it was written"
                          ) from None
-    return {kind: [str(one) for one in some] for kind, some in flat.items() if isinstance(some, list)}
+    return {kind: [str(one) for one in some] for kind, some in flat.items() if isinstance(some, list)}, robot
 
 
 def stated(imported: ImportedFile, name: str, contract: str) -> Column:
     """Column `name` as its layout means it, in the units of the layout; else with the unit that its name states."""
     if imported.facts.get("layout") == "lerobot":
-        return Column(name=name, unit="deg")
+        return Column(name=name, unit="deg" if _counts_degrees(imported) else "")
     if PACE.match(name) or name in (BAM_ANGLE, BAM_GOAL):
         return Column(name=f"{BAM_GOAL} / {BAM_ON}" if name == BAM_GOAL and BAM_ON in imported.names else name,
                       unit="rad")
@@ -121,7 +126,16 @@ def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[
     return []
 
 
+def _counts_degrees(imported: ImportedFile) -> bool:
+    """The robot is one of hobby servos, whose angles LeRobot gives in degrees or in per cent; or nothing is known."""
+    robot = imported.facts.get("lerobot.robot", "")
+    return not robot or bool(re.search(HOBBY, robot, re.IGNORECASE))
+
+
 def _lerobot(imported: ImportedFile, used: Mapping[str, Column]) -> str:
+    if not _counts_degrees(imported):
+        return (f"LeRobot's files do not say the unit of the angles of {imported.facts['lerobot.robot']!r}, nor where "
+                "their zero is: set unit and offset by the robot's description")
     bare = [column.name.partition("{")[0] for name, column in used.items() if name.endswith("_rad")]
     far = max((float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) for table in imported.tables
                for name, values in table.columns.items() if name.partition("{")[0] in bare), default=0.0)

@@ -17,7 +17,8 @@ DEGREE = np.pi / 180.0
 SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
 
-def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: bool = False) -> list[Path]:
+def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: bool = False,
+            robot: str = "so101_follower") -> list[Path]:
     """A data set of an SO-101 whose joints are runs, in degrees; version 3 in one file, 2.1 in one an episode.
 
     As `LeRobotDataset` writes them: float32 lists of fixed size, timestamps that begin anew in every episode.
@@ -26,7 +27,7 @@ def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: 
     feature = {"dtype": "float32", "shape": [6], "names": {"motors": names} if v2 else names}
     (folder / "meta").mkdir(parents=True)
     (folder / "meta/info.json").write_text(json.dumps({
-        "codebase_version": "v2.1" if v2 else "v3.0", "robot_type": "so101_follower", "fps": fps,
+        "codebase_version": "v2.1" if v2 else "v3.0", "robot_type": robot, "fps": fps,
         "features": {"action": feature, "observation.state": feature}}))
     tables = []
     for k, joints in enumerate(episodes):

@@ -79,6 +79,35 @@ def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Pat
         read_imported(path)
 
 
+def test_another_robot_of_lerobot_is_in_rad_until_somebody_knows(tmp_path: Path) -> None:
+    (path,) = lerobot(tmp_path / "set", [arm(4, scale=np.pi / 180.0)], 25.0, robot="aloha")
+    found = guess_map(read_imported(path), joints=("elbow_flex",))
+    assert found.columns["q1_rad"].unit in ("", "rad")
+    assert any("do not say the unit of the angles of 'aloha'" in text for text in found.warnings)
+
+
+def test_a_controller_s_state_has_the_names_of_its_joints() -> None:
+    from dataclasses import dataclass
+
+    from experiments.exchange.rosbag import _numbers
+
+    @dataclass
+    class Point:
+        positions: np.ndarray
+        velocities: np.ndarray
+
+    @dataclass
+    class State:
+        joint_names: list[str]
+        reference: Point
+        feedback: Point
+
+    state = State(["hip", "knee"], *(Point(np.array([k, k + 0.5]), np.zeros(0)) for k in (1.0, 2.0)))
+    assert dict(_numbers(state, "/state")) == {
+        "/state/reference/hip/position": 1.0, "/state/reference/knee/position": 1.5,
+        "/state/feedback/hip/position": 2.0, "/state/feedback/knee/position": 2.5}
+
+
 def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = servo_run(seconds=6.0, rate_hz=200.0)
     file = bam(tmp_path / "x.json", run, "xl330", released_s=4.0)
