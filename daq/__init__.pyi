@@ -15,7 +15,6 @@ from .findings import ReadingFault as ReadingFault
 from .findings import Steps as Steps
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
-from .rig import Column as Column
 from .rig import Disturbance as Disturbance
 from .rig import Mechanism as Mechanism
 from .rig import Rig as Rig
@@ -24,6 +23,7 @@ from .rig import joint_count as joint_count
 from .rig import load_rig as load_rig
 from .rig import parse_rig as parse_rig
 from .rig import read_rig_file as read_rig_file
+from .rig_columns import Column as Column
 from .rig_devices import ControllerDevice as ControllerDevice
 from .rig_devices import Devices as Devices
 from .rig_devices import ImuDevice as ImuDevice

@@ -16,6 +16,7 @@ from daq.errors import InputError, did_you_mean
 from daq.files import read_bytes
 from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
+from daq.rig_columns import Column
 from daq.rig_devices import NODES, Devices
 from daq.rig_limits import Limits
 from daq.rig_sampling import Filter, Sampling, Timing
@@ -167,22 +168,6 @@ class Calibration(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     accel_bias_mps2: Vector3 = (0.0, 0.0, 0.0)
     accel_matrix: Matrix3 = IDENTITY3
     """Scales and cross-talk of the accelerometer: calibrated = matrix @ (reading - bias), in the chip's frame."""
-
-
-class Column(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Place of a contract column in files of other programs: value = sign * scale * unit * reading + offset."""
-
-    name: str
-    """As the file calls it."""
-    unit: str = ""
-    """Of the file; empty: the contract's own."""
-    scale: float = 1.0
-    """On top of the unit, a torque constant for one."""
-    sign: Literal[1, -1] = 1
-    offset: float = 0.0
-    """Added at the end, in the contract's unit."""
-    delay: float = 0.0
-    """How late the reading is stamped [s]."""
 
 
 class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

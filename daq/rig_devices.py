@@ -28,7 +28,8 @@ NODES = 64
 
 class ControllerDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     kind: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", max_length=40)] = "legid"
-    """Which drive: legid (our own firmware) | moteus | odrive | dynamixel, or one of one's own; see `drivers.drive`."""
+    """Which drive: legid (our own firmware) | moteus | odrive | dynamixel | feetech (read only), or one of one's own;
+    see `drivers.drive`."""
     port: str = "/dev/ttyACM0"
     baud: Annotated[int, Meta(ge=1200, le=12_000_000)] = 1_000_000
     can: dict[str, str | int | float | bool] | None = None

@@ -15,9 +15,9 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
           "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
-    "daq": [["errors", "files", "findings", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_limits",
-             "rig_sampling", "rig_text", "rig_types", "servo", "si_units"], ["runs"], ["looks"], ["timing"],
-            ["recording"], ["calibration"]],
+    "daq": [["errors", "files", "findings", "dataset", "imu_mount", "mechanisms", "rig", "rig_columns",
+             "rig_devices", "rig_limits", "rig_sampling", "rig_text", "rig_types", "servo", "si_units"], ["runs"],
+            ["looks"], ["timing"], ["recording"], ["calibration"]],
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs"], ["fitting"], ["prediction"],
                   ["diagnosis", "calibration", "change"]],

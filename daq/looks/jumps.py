@@ -56,7 +56,7 @@ def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | Non
     middle = np.sort(np.stack([x[:-2], x[1:-1], x[2:]]), axis=0)[1]  # without single readings
     ends = (float(middle.min()), float(middle.max())) if x.size > 2 else (0.0, 0.0)
     big = np.abs(steps) > SPAN_SHARE * (ends[1] - ends[0])
-    if x.size < 5 or big.all():
+    if x.size < 5 or np.count_nonzero(~big) < 2:
         return None
     usual = float(np.percentile(np.abs(steps[~big]), RATE_SHARE))
     change = CHANGES * float(np.percentile(np.abs(np.diff(steps[~big])), RATE_SHARE))

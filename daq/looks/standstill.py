@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from daq.dataset import FloatArray
 from daq.looks.plateaus import smallest_step
@@ -21,6 +20,8 @@ second share of its samples, in both directions. Dry friction holds a joint agai
 
 def stands_under_torque(time_s: FloatArray, q: FloatArray, tau: FloatArray) -> list[tuple[int, int]]:
     """[start, stop) of the parts in which q (n,) stands still under a torque (n,) that moves it elsewhere."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # a recording loads no mathematics
+
     window = max(LEAST_ROWS, round(LEAST_S / max(float(np.median(np.diff(time_s))), 1e-9)))
     if q.size < 4 * window or np.ptp(q) == 0.0:
         return []

@@ -5,6 +5,7 @@ from .blocks import mean_interval as mean_interval
 from .blocks import mean_of as mean_of
 from .columns import IMU as IMU
 from .columns import VOLTAGE as VOLTAGE
+from .columns import commanded as commanded
 from .columns import imu_columns_of as imu_columns_of
 from .columns import is_contract_column as is_contract_column
 from .columns import missing as missing

@@ -25,7 +25,8 @@ def imu_columns_of(rig: Rig) -> list[str]:
 
 
 _IMU_COLUMN = re.compile(r"gyro([2-9]|1[0-9]|20)_radps|accel([2-9]|1[0-9]|20)_[xy]_mps2")
-_JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad)")
+_JOINT_COLUMN = re.compile(r"(q|qd|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad|cmd_radps|ff_nm)")
+_ENDINGS = {"q": ("rad", "cmd_rad"), "qd": ("cmd_radps",), "tau": ("nm", "ff_nm")}
 VOLTAGE = "voltage1_v"
 """Of a motor that drives joint 1; in its place a run may have `duty` and `volts`."""
 
@@ -34,9 +35,9 @@ def is_contract_column(name: str) -> bool:
     """The contract gives this column a meaning."""
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
-        return (match[1] == "q") == (match[3] != "nm")
-    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", VOLTAGE, *IMU,
-                                                         *OPTIONAL)
+        return match[3] in _ENDINGS[match[1]]
+    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v",
+                                                         VOLTAGE, *IMU, *OPTIONAL)
 
 
 class Missing(NamedTuple):
@@ -62,11 +63,22 @@ def missing(rig: Rig, present: Collection[str]) -> Missing | None:
                     continue
                 return Missing(f"q{joint}_cmd_rad", "add the angle that the servo was commanded in rad, for [servo]")
             if f"q{joint}_cmd_rad" in present:
-                return Missing(f"tau{joint}_nm", f"declare the servo that q{joint}_cmd_rad commands by [servo], or "
-                                                 f"add the torque of joint {joint} in N m")
-            return Missing(f"tau{joint}_nm", f"add the torque of joint {joint} in N m, "
-                                             f"or take {joint} out of actuated if it has no motor")
+                return Missing(f"tau{joint}_nm", _servo(joint))
+            return Missing(f"tau{joint}_nm", f"add the torque of joint {joint} in N m, or, if its drive follows an "
+                                             f"angle, that command as q{joint}_cmd_rad; without a motor take {joint} "
+                                             "out of actuated")
     return None
+
+
+def commanded(present: Collection[str]) -> tuple[int, ...]:
+    """Joints whose drives follow an angle by a run with columns `present`: a command and no torque, duty or voltage."""
+    joints = [int(match[2]) for name in present if (match := _JOINT_COLUMN.fullmatch(name)) and match[3] == "cmd_rad"]
+    return tuple(sorted(j for j in joints if not {f"tau{j}_nm", "duty", VOLTAGE} & set(present)))
+
+
+def _servo(joint: int) -> str:
+    return (f"declare the servo that q{joint}_cmd_rad commands by [servo], with its gain in N m/rad if that is known, "
+            f"or add the torque of joint {joint} in N m")
 
 
 def known(rig: Rig | None, present: Collection[str]) -> set[str]:
@@ -133,5 +145,6 @@ def _missing_joint1(rig: Rig, present: Collection[str]) -> Missing | None:
     if {"duty", "volts"} <= set(present):
         return Missing(torque, 'a servo driven by voltage needs input = "voltage" under [mechanism]')
     if "q1_cmd_rad" in present:
-        return Missing(torque, "declare the servo that q1_cmd_rad commands by [servo], or add the joint's torque")
-    return Missing(torque, "joint 1 is listed as actuated: add its measured torque or force")
+        return Missing(torque, _servo(1))
+    return Missing(torque, "joint 1 is listed as actuated: add its measured torque or force, or the command that it "
+                           "follows as q1_cmd_rad")

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
 
-from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
+from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
@@ -19,8 +18,8 @@ from estimator.diagnosis.gain import in_pieces, measure_gain
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import BudgetRow, Cause, Diagnosis, Remainder, Rotation, SizeEstimate, SmallSize
-from estimator.diagnosis.verdict import Answer, Decision
+from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, SizeEstimate, SmallSize
+from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import SmallFault, disturbance_levels, imu_levels, torque_levels
@@ -89,37 +88,6 @@ def remainder(family: FittedFamily, decision: Decision) -> Remainder | None:
     answer = decision.answer
     row = family.rows.own if decision.terms == "nominal" or answer is None else answer.with_generic
     return remainder_of(family.models[row])
-
-
-def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
-    """Shares of the mean squared error: of each effect of the `answer`, of what is left, and of noise alone. What
-    several effects take away together is shared out by what is missing without each. Empty where there is nothing
-    beyond noise."""
-
-    row, without = (0, ()) if answer is None else (answer.row, answer.without)
-
-    def shares(blocks: NDArray[np.intp] | None) -> FloatArray:
-        """(2, rows) of the error beyond noise, and of the whole error."""
-        excess, whole, after = table.excess(0, blocks), table.error(0, blocks) ** 2, table.error(row, blocks) ** 2
-        if excess <= 0.0:
-            return np.full((2, 3 + len(without or ([row] if row else []))), np.nan)
-        each = np.array([max(table.error(k, blocks) ** 2 - after, 1e-12) for k in without])
-        split = each / each.sum() if len(each) else np.ones(int(row > 0))
-        closed, explained = (whole - after) / excess, max(whole - after, 0.0)
-        floor = min(1.0, whole - explained)
-        return np.array([[1.0, *closed * split, 1.0 - closed, 1.0 / excess],
-                         [1.0, *explained / whole * split, 1.0 - (explained + floor) / whole, floor / whole]])
-
-    point = shares(None)
-    if np.isnan(point).any():
-        return ()
-    low, high = np.nanquantile([shares(d) for d in table.draws], [0.025, 0.975], axis=0)
-    named = () if answer is None else answer.best[0].model.named
-    parts = [("nominal", None), *(("cause", e) for e in named), ("remainder", None), ("noise", None)]
-    return tuple(BudgetRow(what, float(value[0]), (float(a[0]), float(b[0])), None if e is None else e.name,
-                           None if e is None or e.joint is None else e.joint + 1, float(value[1]),
-                           (float(a[1]), float(b[1])))
-                 for (what, e), value, a, b in zip(parts, point.T, low.T, high.T))
 
 
 def within(faults: Sequence[SmallFault], mechanism: Mechanism) -> tuple[SmallSize, ...]:

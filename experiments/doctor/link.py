@@ -134,7 +134,7 @@ def _drive_alone(controller: Drive, rig: Rig) -> list[Check]:
         checks.append(Check("drive's limits", "ok", f"torque {hello.torque_limit_nm:.3g} N m, speed "
                             f"{limits.speed_limit_radps:.3g} rad/s, knee {' to '.join(dict.fromkeys(ends))} rad, of "
                             f"the joint; at a lost host: {Reaction(limits.reaction).name.lower()}"))
-    elif hello is not None:
+    elif hello is not None and not controller.refusal:
         checks.append(Check("drive's limits", "warn", "it reports none; legid writes [limits] to it when it is armed"))
     try:
         check_drive(rig, controller)

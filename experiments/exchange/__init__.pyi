@@ -10,8 +10,8 @@ from .column_map import require_scales as require_scales
 from .column_map import unscaled as unscaled
 from .exports import export_run as export_run
 from .expression import runs_in as runs_in
-from .guess import Guess as Guess
 from .guess import guess_map as guess_map
+from .guess_result import Guess as Guess
 from .imported import ImportedFile as ImportedFile
 from .reading import is_native as is_native
 from .reading import load_any_run as load_any_run

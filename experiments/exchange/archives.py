@@ -38,10 +38,20 @@ def read_archive(path: Path) -> ImportedFile:
     name = path.name.lower()
     read, joint = next((how for suffixes, how in _READERS if name.endswith(suffixes)), (_json, "."))
     try:
-        columns = dict(vectors(read(path), joint=joint))
+        content = read(path)
+        columns = dict(vectors(content, joint=joint))
     except ImportError:
         raise InputError(str(path), "needs the package h5py", 'install it: pip install "legid[hdf5]"') from None
-    return ImportedFile(path.name, by_length(columns))
+    return ImportedFile(path.name, by_length(columns), _pendulum(content))
+
+
+def _pendulum(content: Any) -> dict[str, str]:
+    """What a recording of BAM says of its servo and its load next to its entries; empty for other files."""
+    if not isinstance(content, dict) or not isinstance(content.get("entries"), list):
+        return {}
+    keys = {"mass": "mass", "length": "length", "arm-mass": "arm", "arm_mass": "arm", "kp": "kp", "motor": "motor"}
+    return {f"bam.{own}": str(content[key])[:40] for key, own in keys.items()
+            if isinstance(content.get(key), int | float | str)}
 
 
 def _numpy(path: Path) -> Any:

@@ -22,6 +22,7 @@ from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwr
 from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.expression import ANY, names_in, with_computed
 from experiments.exchange.imported import ImportedFile, Table, Wrong
+from experiments.exchange.registers import signed
 from experiments.exchange.units import factor, plain_unit
 
 ColumnMap = Mapping[str, Column]
@@ -72,7 +73,8 @@ def require_scales(columns: ColumnMap, where: str) -> None:
         name, unit = lacking
         raise InputError(f"{where}, columns.{name}", f"is in {unit} and has no scale",
                          f"give scale, the torque at the joint per {unit}, gear included; or leave unit out if the "
-                         "column is in N m already")
+                         "column is in N m already; or, if the joint follows a command that is in the file, take the "
+                         "torque out of the map")
 
 
 def unscaled(columns: ColumnMap) -> tuple[str, str] | None:
@@ -173,7 +175,7 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
         if wraps is not None:
             clock, flags[TIME] = wraps.time, wraps.flag(TIME)
         clocks[key] = clock - column.delay
-        read = table.columns[column.name]
+        read = signed(table.columns[column.name], column)
         scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
         far = np.flatnonzero(np.abs(values) > MOST)

@@ -41,12 +41,12 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     rows: dict[str, FloatArray] = {}
     pushes: dict[str, FloatArray] = {}
     for unit, scale in ANGLE_UNITS.items():
-        z = _regressor(lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
+        z = joint_regressor(lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
         if torque is not None:
             rows[unit], pushes[unit] = z, lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
         else:
             rows[unit], pushes[unit] = z[:, 1:], z[:, 0]
-    left = {unit: _left(z[use], pushes[unit][use]) for unit, z in rows.items()}
+    left = {unit: left_of(z[use], pushes[unit][use]) for unit, z in rows.items()}
     by_name = next((unit for unit, scale in ANGLE_UNITS.items() if np.isclose(scale, stated)), "")
     best = min(left, key=lambda unit: left[unit])
     clear = best == by_name or CLEAR * left[best] < left[by_name]
@@ -83,25 +83,26 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     notes["q1_rad"] = f"NOT KNOWN: it does not fit {what}" if unexplained else (
         f"{prefix}one angle and {kind}; in {shown} its equation of motion leaves {100 * left[unit]:.1f} % of "
         + ("the acceleration" if torque is None else "the torque"))
-    return Found(found, notes, warnings, unexplained, (works * push, works * (z @ _solve(z[use], push[use]))),
+    return Found(found, notes, warnings, unexplained, (works * push, works * (z @ solve(z[use], push[use]))),
                  left=left[unit])
 
 
-def _regressor(q: FloatArray, rate_hz: float) -> FloatArray:
+def joint_regressor(q: FloatArray, rate_hz: float) -> FloatArray:
     """(n, 5) of inertia, viscous and Coulomb friction, and gravity along two axes; `q` (n,) [rad]."""
     rate = np.gradient(q, 1.0 / rate_hz)
     return np.stack([np.gradient(rate, 1.0 / rate_hz), rate, np.tanh(rate / SMOOTHING_RADPS), np.sin(q), np.cos(q)],
                     axis=-1)
 
 
-def _solve(z: FloatArray, tau: FloatArray) -> FloatArray:
+def solve(z: FloatArray, tau: FloatArray) -> FloatArray:
+    """(k,) by least squares."""
     return np.asarray(np.linalg.lstsq(z, tau, rcond=None)[0])
 
 
 def _inertia(z: FloatArray, tau: FloatArray) -> float:
-    return float(_solve(z, tau)[0])
+    return float(solve(z, tau)[0])
 
 
-def _left(z: FloatArray, tau: FloatArray) -> float:
+def left_of(z: FloatArray, tau: FloatArray) -> float:
     """The share of the torque that least squares leaves."""
-    return float(np.sqrt(np.sum((z @ _solve(z, tau) - tau) ** 2) / max(float(np.sum(tau**2)), 1e-30)))
+    return float(np.sqrt(np.sum((z @ solve(z, tau) - tau) ** 2) / max(float(np.sum(tau**2)), 1e-30)))

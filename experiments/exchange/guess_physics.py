@@ -188,9 +188,12 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     """Unit and sign of the knee's angle, sign of its torque; with an encoder on the pivot, its unit too.
 
     `raw` has the columns as the file has them but for units that names state. A name's unit is kept unless another one
-    explains the torque, and far better.
+    explains the torque, and far better. Without a torque in `columns` the one of `raw` is the error of the command
+    `q2_cmd_rad`: it has the sign of the knee's angle, and a scale that is not known.
     """
-    knee, torque = columns["q2_rad"], columns["tau2_nm"]
+    knee, torque = columns["q2_rad"], columns.get("tau2_nm")
+    what = f"the torque {torque.name!r}" if torque else f"the error of the command {columns['q2_cmd_rad'].name!r}"
+    short = "the torque" if torque else "the command's error"
     push = filled(raw["tau2_nm"])
     ranked = _knees(raw, columns, pose, push, gravity)
     by_name = [one for one in ranked if one.unit == knee.unit]
@@ -199,7 +202,7 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     if knee.unit and first.unit != knee.unit:
         if first.left <= EXPLAINS and CLEAR * first.left < by_name[0].left:
             warnings.append(f"the name of {knee.name!r} says {knee.unit}, but in {first.unit or 'rad'} the equation of "
-                            f"motion leaves {100 * first.left:.0f} % of the torque, not {100 * by_name[0].left:.0f} %: "
+                            f"motion leaves {100 * first.left:.0f} % of {short}, not {100 * by_name[0].left:.0f} %: "
                             f"{first.unit or 'rad'} is taken")
         else:
             ranked, first = by_name, by_name[0]
@@ -207,27 +210,36 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     known, unsure = first.left <= EXPLAINS, second.left < CLEAR * first.left
     if not known:
         unexplained.append(
-            f"no unit and sign of {knee.name!r} explains the torque {torque.name!r} (the best leaves "
+            f"no unit and sign of {knee.name!r} explains {what} (the best leaves "
             f"{100 * first.left:.0f} %): too little motion, the motor's angle (scale = 1 / gear ratio), an absolute "
             "angle, another joint's, or late" + ("" if pose is None else ", or the IMU turned against the link"))
     elif unsure:
         warnings.append(f"the knee's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
-                        f"{100 * first.left:.0f} % of the torque, {second.unit or 'rad'}, sign {second.sign:+d}, "
+                        f"{100 * first.left:.0f} % of {short}, {second.unit or 'rad'}, sign {second.sign:+d}, "
                         f"{100 * second.left:.0f} %; look at the plot")
     out = {"q2_rad": msgspec.structs.replace(knee, unit=first.unit, sign=1 if first.sign > 0 else -1)}
     for name in ("tau2_nm", "tau2_cmd_nm"):
         if name in columns:
             out[name] = msgspec.structs.replace(columns[name], sign=1 if first.works > 0 else -1)
+    if torque is None:
+        command = columns["q2_cmd_rad"]
+        out["q2_cmd_rad"] = msgspec.structs.replace(
+            command, unit=command.unit or first.unit, sign=command.sign if first.sign > 0 else -command.sign)
+        warnings += unexplained  # a loop's delay or integral is in the error, too
+        unexplained, known = [], True
     if pose is None and "q1_rad" in columns:
         out["q1_rad"] = msgspec.structs.replace(columns["q1_rad"], unit=first.hip_unit)
-    notes = {"q2_rad": "NOT KNOWN: no unit and sign explains the torque",
+    notes = {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
-        prefix = NOT_SURE if unsure else ""
+        prefix = NOT_SURE if unsure or first.left > EXPLAINS else ""
         notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
-                           f"{100 * first.left:.1f} % of the torque (next best: {100 * second.left:.0f} %)",
+                           f"{100 * first.left:.1f} % of {short} (next best: {100 * second.left:.0f} %)",
                  "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"}
-    warnings += scale_warnings("tau2_nm", torque)
+    if torque is None:
+        del notes["tau2_nm"]
+    else:
+        warnings += scale_warnings("tau2_nm", torque)
     if not knee.unit and re.search("motor", knee.name, re.IGNORECASE):
         warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
     read = first.works * lowpass(push, band_hz(raw.rate_hz), raw.rate_hz)
@@ -246,13 +258,16 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
         poses = {unit: Pose(q1, np.gradient(q1, 1.0 / raw.rate_hz)) for unit, q1 in hips.items()
                  if not hip.unit or unit == hip.unit}
     measured = [name for name in ("q1_rad", "q2_rad", "tau2_nm") if name in raw]
+    follows = "tau2_nm" not in columns
     counts = ~_near_gaps(raw.gap(measured if pose is None else measured[-2:]), raw.rate_hz)
     out = []
     for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), (1, -1)):
         if pose is None and not (hip.unit or knee.unit) and unit != hip_unit:
             continue
         left, beta, made = _equation(link, sign * angle, push, counts, raw.rate_hz, gravity)
-        out.append(_Knee(left, unit, hip_unit, sign, 1 if beta[0] > 0 else -1, made))
+        works = 1 if beta[0] > 0 else -1
+        against = follows and works != sign  # a drive pushes the angle towards its command
+        out.append(_Knee(max(left, 1.0) if against else left, unit, hip_unit, sign, works, made))
     return sorted(out, key=lambda one: one.left)
 
 

@@ -20,10 +20,13 @@ from experiments.exchange.can_log import is_candump, read_can_log
 from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity, require_scales
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.imported import ImportedFile
+from experiments.exchange.layouts import with_layout
 from experiments.exchange.rosbag import read_bag
 
 NATIVE = "legid "
 """How the library that an MCAP header names begins in a run of ours."""
+POINTER, MOST_POINTER = b"version https://git-lfs.github.com/spec/", 1024
+"""What stands in place of a file in a clone without Git LFS, and its size at most."""
 TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".log")
 CLOCK_BOUND = "/imu/clock_bound/data"
 OWN_TOPICS = {
@@ -60,12 +63,22 @@ def read_imported(path: Path | str) -> ImportedFile:
         size = _size(path)
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "give a file that is there") from None
+    if _is_pointer(path, size):
+        raise InputError(str(path), "is a pointer of Git LFS, not the file", "fetch it with git lfs pull")
     reader = next((reader for endings, reader in _READERS if name.endswith(endings)), None)
     if name.endswith(".log") and is_candump(path):
         reader = Reader(read_can_log, "a CAN log", "can")
     if reader is None:
         raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
-    return read_bounded(reader, path, size)
+    return with_layout(read_bounded(reader, path, size), path)
+
+
+def _is_pointer(path: Path, size: int) -> bool:
+    """Whether a clone without Git LFS left this in place of the file."""
+    if size > MOST_POINTER:
+        return False
+    with open_regular(path) as file:
+        return bool(file.read(len(POINTER)) == POINTER)
 
 
 def _size(path: Path) -> int:
@@ -106,7 +119,7 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
         raise InputError(str(path), f"gives no {lacking.column}",
-                         lacking.remedy if imported.names == list(run.columns) else
+                         lacking.remedy if imported.names == list(run.columns) or "[servo]" in lacking.remedy else
                          f"map a column to it by [columns.{lacking.column}] in the rig file, or by legid import")
     return run
 

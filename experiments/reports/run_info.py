@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray, InputError, Rig
 from daq.looks import look
-from daq.runs import Note, RawRun, RawTable, start_of
+from daq.runs import Note, RawRun, RawTable, commanded, start_of
 from daq.timing import (
     HOLE_PERIODS,
     align,
@@ -55,6 +55,11 @@ def describe_csv(table: RawTable) -> str:
             for name, values in table.columns.items()]
     ignored = ", ".join(table.ignored)
     readings = [f"warning: {text}" for text in (*table.flags, *readings_of(table))]
+    follows = commanded(list(table.columns))
+    if follows:
+        named = ", ".join(f"q{j}_cmd_rad" for j in follows)
+        readings.append(f"no torque: the drive follows {named}. The rig file needs [servo]: legid init --from "
+                        f"{table.name} writes one")
     lines = [f"{table.name}: {table.time_s.size} samples, {seconds:.2f} s, {1.0 / nominal:.6g} Hz",
              f"jitter of the sample times (rms): {float(np.std(steps[steps <= HOLE_PERIODS * nominal])) * 1e6:.3g} us; "
              f"gaps: {holes}" + (f", longest {float(steps.max()):.3g} s" if holes else ""), "",

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from daq import InputError, read_bytes
-from daq.runs import SUFFIXES, RawRun, read_csv, read_run, start_of
+from daq.runs import SUFFIXES, RawRun, commanded, read_csv, read_run, start_of
 from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
@@ -89,6 +89,8 @@ class RunLine:
     """File of that verdict."""
     watch: str | None = None
     """State by the newest `legid watch` JSON in its folder: ok, alarm, changed or not tested."""
+    follows: str = ""
+    """Commands that its joints follow, where it has no torque of them."""
 
     @property
     def faulty(self) -> bool:
@@ -149,7 +151,8 @@ def runs_text(lines: Sequence[RunLine]) -> str:
              str(line.frames_lost), str(line.imu_gaps), str(line.clipped),
              " ".join([line.verdict or "-", *line.causes]),
              "; ".join(filter(None, [line.ended, "clock fault" * bool(line.clock_faults),
-                                     "faulty readings" * bool(line.readings)]))]
+                                     "faulty readings" * bool(line.readings),
+                                     f"follows {line.follows}" if line.follows else ""]))]
             for line in lines]
     header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
               "remark"]
@@ -202,7 +205,9 @@ def _csv_line(path: Path, name: str) -> RunLine:
         table = read_csv(path)
     except InputError as error:
         return RunLine(name, ended=f"not readable: {error.what}")
-    return RunLine(name, seconds=float(table.time_s[-1] - table.time_s[0]), readings=tuple(readings_of(table)))
+    follows = ", ".join(f"q{j}_cmd_rad" for j in commanded(list(table.columns)))
+    return RunLine(name, seconds=float(table.time_s[-1] - table.time_s[0]), readings=tuple(readings_of(table)),
+                   follows=follows)
 
 
 def _clipped(raw: RawRun) -> int:

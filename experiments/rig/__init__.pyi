@@ -14,6 +14,8 @@ from .estop import confirm_estop as confirm_estop
 from .estop import confirm_motion as confirm_motion
 from .questions import ask_facts as ask_facts
 from .robot_file import prior_table as prior_table
+from .run_file import facts_of_run as facts_of_run
+from .run_file import is_run as is_run
 from .writer import RigFacts as RigFacts
 from .writer import already_there as already_there
 from .writer import default_actuated as default_actuated

@@ -31,7 +31,7 @@ def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFa
     if facts.model == "chain":
         get("links", "number of links", _whole(1, 20))
     facts = replace(facts, actuated=default_actuated(facts.model, facts.links))
-    get("actuated", "joints with a motor whose torque is measured", _joints, " ".join(map(str, facts.actuated)))
+    get("actuated", "joints with a motor", _joints, " ".join(map(str, facts.actuated)))
     get("gravity_mps2", "gravity [m/s2]", _number)
     if facts.model == "leg2":
         get("lever_arm_m", "pivot to IMU along link 1 [m]", _number)

@@ -39,6 +39,10 @@ class RigFacts:
     speed_radps: float = 15.0
     q1_rad: float = 1.6
     q2_rad: float = 2.6
+    servo: bool = False
+    """The driven joints follow commands and log no torque."""
+    voltage: bool = False
+    """The joint's motor is driven by a voltage that is logged."""
     records: bool = True
     """False: the rig has no controller and is for imported files."""
     known: frozenset[str] = frozenset()
@@ -63,8 +67,11 @@ def rig_toml(facts: RigFacts) -> str:
              line("model", quoted(facts.model), "leg2 | biped3 | joint1 | chain")]
     if facts.model == "chain":
         parts.append(line("links", str(facts.links), "number of links"))
-    parts += [line("actuated", str(list(facts.actuated)), "joints whose torque is measured; the others carry none"),
-              line("gravity_mps2", _number(facts.gravity_mps2), "local gravity [m/s2]"), "",
+    parts += [line("actuated", str(list(facts.actuated)), "joints with a motor; the others carry no torque"),
+              line("gravity_mps2", _number(facts.gravity_mps2), "local gravity [m/s2]"),
+              *([line("input", '"voltage"', "duty times volts drives the motor: parameters in volt units")]
+                if facts.voltage else []), "",
+              *(_servo() if facts.servo else []),
               "[imu]", line("lever_arm_m", _number(facts.lever_arm_m), "pivot to IMU along link 1 [m]", "lever_arm_m"),
               "", "[motor]",
               line("gear_ratio", _number(facts.gear_ratio), "motor turns per turn of the joint", "gear_ratio"),
@@ -101,6 +108,14 @@ def rig_toml(facts: RigFacts) -> str:
               line("imu_mount", "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", ASSUMED),
               "# gyro_bias_radps, accel_bias_mps2, accel_matrix: written by legid calibrate imu", ""]
     return "\n".join(parts)
+
+
+def _servo() -> list[str]:
+    """The table of a drive that follows a command; docs/rig.md has all its keys."""
+    return ["[servo]                           # torque = gain * (q_cmd - q) - damping * qd, within +-limit",
+            "# gain = 6.0                      # [N m/rad]; absent: a fit finds it by one parameter given with --fix",
+            "# damping = 0.0                   # [N m s/rad]",
+            "# limit = 1.2                     # [N m]", ""]
 
 
 def _imu(facts: RigFacts, line: Line) -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 from experiments.emulation.hidden_effects import EFFECTS, REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
 from tests.support.paths import ROOT
-from tests.tools.tutorial import INSTALL, PAGE, Block, blocks, run_blocks, shortened
+from tests.tools.tutorial import INSTALL, PAGE, POSITIONS, Block, blocks, run_blocks, shortened
 
 TEXT = PAGE.read_text(encoding="utf-8")
 VARIES = re.compile(r"(?<=by legid )\S+|[-+]?\d[\d.,:e+-]*|-{2,}|\s+")
@@ -66,6 +66,18 @@ def test_the_spring_is_found(told: tuple[Path, list[tuple[Block, str]]]) -> None
     assert knee["before"] > 0.05 and knee["after"] < 0.15 * knee["before"]
     assert f"true beta1 is {LegBody().beta()[0]:.3f} kg m^2" in TEXT
     assert {"fit.html", "diagnosis.html", "simulated.csv"} <= {path.name for path in told[0].iterdir()}
+
+
+@pytest.mark.slow
+def test_the_page_of_positions_prints_what_it_shows(tmp_path: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("no bash")
+    folder = tmp_path / "my-leg"
+    folder.mkdir()
+    some = blocks(POSITIONS.read_text(encoding="utf-8"))
+    assert len(some) >= 7 and all(block.text is not None for block in some)
+    for block, said in zip(some, run_blocks(some, folder)):
+        assert words(block.text or "") == words(shortened(said, block.first)), block.code
 
 
 def test_what_the_page_hides_can_be_hidden() -> None:

@@ -15,7 +15,9 @@ from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault
 from tests.support.drive_bench import CONSTANT, DriveBench, states, telemetry
 
-KINDS = [kind for kind in drive_kinds() if kind != "legid"]
+NEVER_ON = ["feetech"]
+"""Drives that legid reads and does not arm."""
+KINDS = [kind for kind in drive_kinds() if kind not in ("legid", *NEVER_ON)]
 
 
 @pytest.fixture(params=KINDS)
@@ -23,10 +25,28 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_every_drive_has_an_emulator_and_says_what_it_lacks(kind: str) -> None:
-    bench = DriveBench(kind)
-    assert drive_facts(kind).rate_hz > 0 and bench.drive.capabilities.lacks
+@pytest.fixture(params=[*KINDS, *NEVER_ON])
+def any_kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_every_drive_has_an_emulator_and_says_what_it_lacks(any_kind: str) -> None:
+    bench = DriveBench(any_kind)
+    assert drive_facts(any_kind).rate_hz > 0 and bench.drive.capabilities.lacks
     assert all(lack.what and lack.instead for lack in bench.drive.capabilities.lacks)
+
+
+@pytest.mark.parametrize("kind", NEVER_ON)
+def test_a_drive_without_a_watchdog_never_turns(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.drive.open()
+    for _ in range(2):
+        with pytest.raises(DeviceFault, match="has no watchdog, so a lost host would leave the torque on"):
+            bench.drive.arm(100)
+        bench.drive.command(1.0)
+        bench.run(0.05, 1.0)
+        assert not bench.far.record[1].any() and states(bench.run(0.02)) == {State.DISARMED}
+        bench.drive.clear_faults()
 
 
 def test_a_drive_that_nobody_knows_is_named_with_those_that_there_are() -> None:
@@ -126,7 +146,7 @@ def test_a_watchdog_out_of_range_is_refused(kind: str) -> None:
         bench.drive.arm(2)
 
 
-def test_a_sample_was_taken_between_request_and_answer(kind: str) -> None:
+def test_a_sample_was_taken_between_request_and_answer(any_kind: str) -> None:
     """The knee moves in a known way, so that each angle tells when it was read."""
 
     class Moving:
@@ -136,7 +156,7 @@ def test_a_sample_was_taken_between_request_and_answer(kind: str) -> None:
             self.t += dt_s
             return StillState(q2=self.t, q2d=1.0)
 
-    bench = DriveBench(kind, Moving())
+    bench = DriveBench(any_kind, Moving())
     bench.drive.open()
     began = bench.clock.now_ns()
     received = [one for one in bench.run(0.5) if telemetry([one])]
@@ -151,8 +171,8 @@ def test_a_sample_was_taken_between_request_and_answer(kind: str) -> None:
     assert np.abs(ticks - (asked + host) / 2000 % 2**32).max() <= 1.0
 
 
-def test_what_comes_too_late_is_no_answer_to_a_later_request(kind: str) -> None:
-    bench = DriveBench(kind)
+def test_what_comes_too_late_is_no_answer_to_a_later_request(any_kind: str) -> None:
+    bench = DriveBench(any_kind)
     bench.drive.open()
     bench.run(0.05)
     true, held = bench.link.read, list[Any]()
@@ -172,19 +192,19 @@ def test_what_comes_too_late_is_no_answer_to_a_later_request(kind: str) -> None:
     assert waits and max(waits) < 5e6
 
 
-def test_nobody_there_and_a_wrong_node_name_what_to_look_at(kind: str) -> None:
-    bench = DriveBench(kind)
+def test_nobody_there_and_a_wrong_node_name_what_to_look_at(any_kind: str) -> None:
+    bench = DriveBench(any_kind)
     bench.far.powered = False
     with pytest.raises(DeviceAbsent, match=r"no answer within 0.5 s; .*node"):
         bench.drive.open(0.5)
-    bench = DriveBench(kind)
-    wrong = attach(kind, bench.link, DriveBench(kind, node=9).wiring, bench.clock.now_ns, bench.clock.sleep)
+    bench = DriveBench(any_kind)
+    wrong = attach(any_kind, bench.link, DriveBench(any_kind, node=9).wiring, bench.clock.now_ns, bench.clock.sleep)
     with pytest.raises(DeviceAbsent, match="node"):
         wrong.open(0.5)
 
 
-def test_a_drive_that_hangs_gives_no_telemetry(kind: str) -> None:
-    bench = DriveBench(kind)
+def test_a_drive_that_hangs_gives_no_telemetry(any_kind: str) -> None:
+    bench = DriveBench(any_kind)
     bench.drive.open()
     bench.far.alive = False
     bench.run(0.05)
@@ -223,10 +243,10 @@ def test_its_own_faults_have_our_names(kind: str, break_it: Any, fault: Fault) -
     assert bench.drive.words
 
 
-def test_noise_on_the_line_is_counted_and_survived(kind: str) -> None:
+def test_noise_on_the_line_is_counted_and_survived(any_kind: str) -> None:
     from drivers.can_frame import CanFrame
 
-    bench, rng = DriveBench(kind), np.random.default_rng(3)
+    bench, rng = DriveBench(any_kind), np.random.default_rng(3)
     bench.drive.open()
     true = bench.link.read
 

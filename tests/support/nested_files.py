@@ -59,7 +59,8 @@ def torch_archive(columns: Columns, path: Path) -> None:
 
     class Tensor:
         def __init__(self, key: str, values: np.ndarray) -> None:
-            self.parts: tuple[Any, ...] = _Storage(kind, key, values.size), 0, values.shape, (1,), False, {}
+            self.parts: tuple[Any, ...] = _Storage(kind, key, values.size), 0, values.shape, \
+                tuple(s // values.itemsize for s in np.ascontiguousarray(values).strides), False, {}
 
         def __reduce__(self) -> tuple[Any, ...]:
             return _rebuild_tensor_v2, self.parts

@@ -1,4 +1,4 @@
-"""`make tutorial`: run docs/tutorial.md, put what its commands print into the page, draw its figures.
+"""`make tutorial`: run docs/tutorial.md and docs/positions.md, put what their commands print into them, draw figures.
 
 Every ```sh block is run in order, in one directory; the ```text block that follows it holds what it printed, or its
 first lines where a comment `<!-- first N lines -->` stands before it. tests/test_tutorial.py holds the page to that.
@@ -19,6 +19,8 @@ from pathlib import Path
 from tests.support.paths import ROOT
 
 PAGE = ROOT / "docs" / "tutorial.md"
+POSITIONS = ROOT / "docs" / "positions.md"
+"""Goes on in the tutorial's folder."""
 INSTALL = ["make install", 'export PATH="$PWD/.venv/bin:$PATH"', "mkdir -p my-leg && cd my-leg"]
 """The first block: it makes what this very process runs in."""
 BLOCK = re.compile(r"```sh\n(?P<code>.*?)```\n"
@@ -49,8 +51,10 @@ def run_blocks(some: list[Block], folder: Path) -> Iterator[str]:
     """
     shims = folder.parent / "bin"
     shims.mkdir()
-    (shims / "legid").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m experiments.cli "$@"\n')
-    (shims / "legid").chmod(0o755)
+    for name, what in (("legid", f'"{sys.executable}" -m experiments.cli'), ("python", f'"{sys.executable}"')):
+        (shims / name).write_text(f'#!/bin/sh\nexec {what} "$@"\n')
+        (shims / name).chmod(0o755)
+    (folder.parent / "docs").symlink_to(ROOT / "docs")
     environment = os.environ | {"PATH": f"{shims}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     for block in some:
         yield subprocess.run(["bash", "-euc", block.code], cwd=folder, env=environment, text=True, check=True,
@@ -95,15 +99,18 @@ def draw(folder: Path, out: Path) -> None:
 def main() -> None:
     """Run, rewrite, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--page", type=Path, default=PAGE, help="the page; its figures go beside it")
-    page = parser.parse_args().page
-    text = page.read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as home:
-        folder = Path(home) / "my-leg"
-        folder.mkdir()
-        said = ["", *run_blocks(blocks(text)[1:], folder)]
-        page.write_text(rewrite(text, said), encoding="utf-8")
-        draw(folder, page.parent)
+    parser.add_argument("--page", type=Path, action="append", help="the page; its figures go beside it")
+    for page in parser.parse_args().page or [PAGE, POSITIONS]:
+        text = page.read_text(encoding="utf-8")
+        some = blocks(text)
+        skipped = sum(block.code.splitlines() == INSTALL for block in some)
+        with tempfile.TemporaryDirectory() as home:
+            folder = Path(home) / "my-leg"
+            folder.mkdir()
+            said = [*[""] * skipped, *run_blocks(some[skipped:], folder)]
+            page.write_text(rewrite(text, said), encoding="utf-8")
+            if skipped:
+                draw(folder, page.parent)
 
 
 if __name__ == "__main__":

@@ -39,6 +39,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=float,
                         help="samples per second, which a file without times needs; default: the slowest signal's")
+    parser.add_argument("--joints", metavar="A,B", type=lambda text: tuple(filter(None, text.split(","))), default=(),
+                        help="of a file with many joints, those that a guess takes: by name or by number from 1")
     parser.add_argument("--span", metavar="FROM,TO", type=span,
                         help="import these seconds of each file alone, by its own clock")
     parser.set_defaults(run=run)
@@ -134,7 +136,7 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
     if target.exists() and not (args.force or is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
-    found = guess_map(read_imported(args.files[0]), rate_hz=args.rate)
+    found = guess_map(read_imported(args.files[0]), rate_hz=args.rate, joints=args.joints)
     print(guess_table(found))
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
@@ -151,14 +153,16 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
 
 def _summary(file: str, columns: Mapping[str, Column], rate_hz: float | None) -> list[str]:
     """Row of a table: samples, rate, length and share of missing samples of one file, read by the guessed map."""
-    from experiments.exchange import apply_map, read_imported
+    from experiments.exchange import apply_map, read_imported, runs_in
 
     try:
         imported = read_imported(file)
-        data = apply_map(imported, columns, rate_hz)
+        some = runs_in(imported, columns)
+        data = apply_map(imported, some[0][1], rate_hz)
     except InputError as error:
         return [file, "", "", "", "", error.what]
     wrong = f"{len(imported.wrong)} wrong cells or rows left out" if imported.wrong else ""
+    wrong = "; ".join(filter(None, [f"the first of {len(some)} runs" if len(some) > 1 else "", wrong]))
     return [file, str(len(data)), f"{data.rate_hz:g}", f"{len(data) / data.rate_hz:.1f}",
             f"{100.0 * float(data.gap().mean()):.1f}", wrong]
 

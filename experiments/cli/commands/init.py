@@ -18,7 +18,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                           "on CAN (node 0); a controller is stopped, never armed")
     how.add_argument("--defaults", action="store_true", help="ask nothing, assume everything")
     how.add_argument("--from", dest="source", metavar="FILE",
-                     help="a URDF or MJCF of a serial planar chain: links, motors and, as [prior], masses and lengths")
+                     help="a run as CSV: joints, motors and servos by its columns; or a URDF or MJCF of a serial "
+                          "planar chain: links, motors and, as [prior], masses and lengths")
     parser.add_argument("--port", action="append", help="with --probe: greet only this serial port (may be repeated)")
     parser.set_defaults(run=run)
 
@@ -34,6 +35,8 @@ def run(args: argparse.Namespace) -> int:
         already_there,
         ask_facts,
         default_actuated,
+        facts_of_run,
+        is_run,
         prior_table,
         probe,
         write_rig,
@@ -46,7 +49,9 @@ def run(args: argparse.Namespace) -> int:
     if args.port and not args.probe:
         raise InputError("--port", "is for --probe", "add --probe, or leave it out")
     facts, more = RigFacts(), ""
-    if args.source:
+    if args.source and is_run(Path(args.source)):
+        facts = facts_of_run(Path(args.source))
+    elif args.source:
         links = read_robot(Path(args.source))
         model = {1: "joint1", 2: "leg2"}.get(len(links), "chain")
         driven = tuple(j for j, link in enumerate(links, 1) if link.driven)
@@ -65,5 +70,9 @@ def run(args: argparse.Namespace) -> int:
     marked = f"; {assumed} values are assumed and marked so" if assumed else ""
     rig = shlex.quote(str(path))
     then = f"legid doctor --rig {rig}" if facts.records else f"legid import FILE..., then legid fit RUN... --rig {rig}"
+    if facts.servo:
+        then = f"give the gain under [servo], or one parameter with --fix, in legid fit RUN... --rig {rig}"
+    elif args.source and not facts.records:
+        then = f"legid fit RUN... --rig {rig}"
     print(f"{path}: written{marked}. Next: {then}")
     return 0

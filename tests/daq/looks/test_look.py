@@ -6,6 +6,7 @@ import pytest
 from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.looks import Look, look
+from daq.looks.jumps import unwrapped
 from daq.runs.counter import unwrapped_counter
 from daq.runs.csv_run import RawTable
 from daq.timing.resample import align_table
@@ -253,3 +254,8 @@ def test_dry_friction_that_holds_a_joint_is_no_fault(share: float) -> None:
     weak = moment.copy()
     weak[1200:1500] *= share * np.quantile(np.abs(moment), 0.8) / np.abs(moment[1200:1500]).max()
     assert not [fault for fault in look(T, {"q1_rad": held, "tau1_nm": weak}).faults if fault.what == "standstill"]
+
+
+def test_a_column_of_which_every_step_but_one_is_large_is_no_wrap() -> None:
+    x = np.array([0.0, 5.0, -5.0, 5.0, -5.0, -5.0, 5.0, -5.0])
+    assert unwrapped(x) is None

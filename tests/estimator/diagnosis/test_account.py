@@ -9,7 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from estimator.diagnosis.account import budget, compared, undecided, with_blind_sensors, with_minor
+from estimator.diagnosis.account import compared, undecided, with_blind_sensors, with_minor
+from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
 from estimator.diagnosis.result import Diagnosis

@@ -350,3 +350,15 @@ def test_without_a_rig_file_the_usual_places_are_looked_at(tmp_path: Path, monke
     assert "/dev/ttyACM0" in found["controller"]
     assert "/dev/i2c-1-nowhere" in found["I2C bus"]
     assert "--out" in found["disk space"]
+
+
+def test_a_drive_that_is_never_armed_is_said_to_be_so() -> None:
+    from daq.rig import parse_rig
+    from tests.support.drive_bench import DriveBench
+
+    far = DriveBench("feetech")
+    far.drive.open()
+    rig = parse_rig('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[limits]\nunchecked = ["encoder_s"]\n')
+    found = link._drive_alone(far.drive, rig)
+    assert [one.status for one in found if one.name == "drive's watchdog"] == ["FAIL"]
+    assert not any(one.name == "drive's limits" for one in found)

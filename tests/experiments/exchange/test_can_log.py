@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from daq.rig import Column
+from daq.rig_columns import Column
 from experiments.exchange.can_log import read_can_log, registers
 from experiments.exchange.column_map import apply_map
 from experiments.exchange.reading import read_imported

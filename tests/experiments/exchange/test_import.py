@@ -14,7 +14,8 @@ from scipy.io import savemat
 import legid
 from daq.dataset import Dataset
 from daq.errors import InputError
-from daq.rig import Column, load_rig
+from daq.rig import load_rig
+from daq.rig_columns import Column
 from daq.runs.csv_run import write_csv
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map, map_text

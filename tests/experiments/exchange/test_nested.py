@@ -9,7 +9,8 @@ import pytest
 from scipy.io import savemat
 
 from daq.errors import InputError
-from daq.rig import Column, load_rig
+from daq.rig import load_rig
+from daq.rig_columns import Column
 from daq.runs.csv_run import read_csv
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map
@@ -163,7 +164,7 @@ def test_a_grid_finer_than_the_record_is_said(tmp_path: Path) -> None:
 
 
 def test_the_measured_angle_goes_before_the_desired_one(tmp_path: Path) -> None:
-    from experiments.exchange.guess import _fitting
+    from experiments.exchange.guess_names import fitting
 
     npz({"shoulder_des_pos": COLUMNS["a"], "shoulder_meas_pos": COLUMNS["b"]}, tmp_path / "x.npz")
-    assert _fitting(read_imported(tmp_path / "x.npz"), "q1", True) == ["shoulder_meas_pos"]
+    assert fitting(read_imported(tmp_path / "x.npz"), "q1", True) == ["shoulder_meas_pos"]

@@ -59,6 +59,14 @@ def test_a_check_that_it_cannot_make_is_to_be_given_up_by_name(kind: str, tmp_pa
     assert 'unchecked = ["encoder_s"]' in capsys.readouterr().err
 
 
+def test_a_drive_that_is_only_read_records_no_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
+    rig.write_text(rig_text("feetech"))
+    write_plan(random_multisine(7, 5.0, 0.6), plan)
+    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap"), "--emulate"]) == 1
+    assert "has no watchdog, so a lost host would leave the torque on" in capsys.readouterr().err
+
+
 def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path: Path,
                                                                         capsys: pytest.CaptureFixture[str]) -> None:
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"

@@ -1,0 +1,197 @@
+"""Commands of joints whose drives follow an angle: which angle each belongs to, its unit and its sign.
+
+A drive that follows a command turns the joint by gain * (command - angle), so that the command's error stands for a
+torque of unknown scale. Unit and sign of a command follow from the angle that follows it. What the loop adds, such as a
+delay or an integral, is not known here: where the equation of motion does not explain the error, the units of the
+names stay, with a warning.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from daq import Column, Dataset, FloatArray
+from estimator.signals import lowpass
+from experiments.exchange.guess_chain import driven_joints
+from experiments.exchange.guess_joint import joint_regressor, left_of, solve
+from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of
+from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, NOT_SURE, Found, band_hz, filled, inside
+from experiments.exchange.imported import ImportedFile
+
+A_COMMAND = r"goal|target|cmd|command|set_?point|desired|(?<![a-z])action|joint_trajectory"
+"""Names of commands that need no word of an angle."""
+A_RATE = r"vel|speed|rate|dot|(?<![a-z])qd"
+A_FEEDFORWARD = r"feed_?forward|(?<![a-z])ff(?![a-z])"
+SURE_RATE = 0.9
+"""Correlation with the derivative of the command beyond which a column is its rate."""
+FOLLOWS = 0.5
+"""Correlation of an angle with its command, the best of all delays, below which it does not follow it."""
+LATEST_S = 0.5
+"""Delays that are tried."""
+ALIKE = 2.0
+"""A slope of the angle over the command within this factor of a unit's is that unit's."""
+TURNS = 4.0 * np.pi
+"""A joint that follows commands turns less far [rad]."""
+
+
+class Command(NamedTuple):
+    """A command, and how the angle follows it."""
+
+    angle: Column
+    command: Column
+    follows: float
+    """Correlation at the best delay, of either sign."""
+    late_s: float
+    """That delay [s]."""
+
+
+def commands_of(imported: ImportedFile) -> list[str]:
+    """Columns that are commanded angles by their names, in the file's order."""
+    found = []
+    for name in imported.names:
+        plain = re.sub(r"set_?point", "", name, flags=re.IGNORECASE)
+        if not re.search(NOT_MEASURED, name, re.IGNORECASE) or re.match(TIME_NAMES, name, re.IGNORECASE) \
+                or re.search(NOT_AN_ANGLE, plain, re.IGNORECASE):
+            continue
+        kind = kind_of(name)
+        if (kind in ("q1", "q2") or (not kind and re.search(A_COMMAND, name, re.IGNORECASE))) \
+                and changes(imported.table_of(name).columns[name]):
+            found.append(name)
+    return found
+
+
+def pair_commands(angles: Sequence[str], commands: Sequence[str]) -> dict[int, str]:
+    """Joint from 0 -> the command of its angle, by the words and numbers that their names share."""
+    return {joint: command for command, joint in driven_joints(angles, commands).items()}
+
+
+def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: Column) -> Command:
+    """Units and sign of a command by the angle that follows it.
+
+    `names` are the columns of angle and command in `run`, read by the units that `angle` and `command` state.
+    """
+    if any(name not in run or not np.isfinite(run[name]).any() for name in names):  # larger than any reading
+        return Command(angle, command, 0.0, 0.0)
+    q, c = (filled(run[name]) for name in names)
+    follows, late = _following(q, c, run.rate_hz)
+    lead = c[: c.size - late] if late else c
+    slope = max(abs(follows) * float(q[late:].std()) / max(float(lead.std()), 1e-30), 1e-9)
+    angle, command = _in_units(angle, command, slope)
+    return Command(angle, structs.replace(command, sign=1 if follows > 0 else -1), follows, late / run.rate_hz)
+
+
+def _in_units(angle: Column, command: Column, slope: float) -> tuple[Column, Column]:
+    """Both with the units by which the angle moves as far as its command, where names state one or none of them."""
+    if bool(angle.unit) != bool(command.unit):
+        known = angle.unit or command.unit
+        ratio = slope if angle.unit else 1.0 / slope
+        other = _unit_near(ratio) or known
+        return structs.replace(angle, unit=angle.unit or other), structs.replace(command, unit=command.unit or other)
+    if angle.unit or 1.0 / ALIKE < slope < ALIKE:
+        return angle, command
+    if _unit_near(slope):  # an angle in rad
+        return structs.replace(angle, unit="rad"), structs.replace(command, unit=_unit_near(slope))
+    if _unit_near(1.0 / slope):
+        return structs.replace(angle, unit=_unit_near(1.0 / slope)), structs.replace(command, unit="rad")
+    return angle, command
+
+
+def _unit_near(factor_rad: float) -> str:
+    """The unit of an angle that is about so many rad; empty for none."""
+    near = [unit or "rad" for unit, scale in ANGLE_UNITS.items() if 1.0 / ALIKE < factor_rad / scale < ALIKE]
+    return near[0] if near else ""
+
+
+def _following(q: FloatArray, c: FloatArray, rate_hz: float) -> tuple[float, int]:
+    """Correlation of largest size of q (n,) with c (n,) before it, and by how many samples."""
+    most = min(int(LATEST_S * rate_hz), q.size // 4)
+    found = [_correlation(q[k:], c[: c.size - k]) for k in range(most + 1)]
+    best = int(np.argmax(np.abs(found)))
+    return found[best], best
+
+
+def _correlation(q: FloatArray, c: FloatArray) -> float:
+    q, c = q - q.mean(), c - c.mean()
+    return float(q @ c / max(float(np.sqrt((q @ q) * (c @ c))), 1e-30))
+
+
+def not_following(one: Command) -> str:
+    """Why a command cannot be used, in a sentence; empty for one that can."""
+    if abs(one.follows) >= FOLLOWS:
+        return ""
+    return (f"{one.angle.name!r} does not follow {one.command.name!r} (correlation {one.follows:.2f} at best): the "
+            "command of another joint, or a drive that was off")
+
+
+def find_servo_joint(raw: Dataset, one: Command) -> Found:
+    """Unit of the angle of one joint that follows a command: gain (c - q) = I qdd + b qd + c sgn(qd) + gravity.
+
+    `raw` has q1_rad and q1_cmd_rad in one unit, with the command's sign.
+    """
+    columns = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
+    cutoff, use = band_hz(raw.rate_hz), inside(raw, list(columns))
+    error = lowpass(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), cutoff, raw.rate_hz)
+    units = {"": 1.0} if one.angle.unit else ANGLE_UNITS
+    rows = {unit: joint_regressor(lowpass(scale * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
+            for unit, scale in units.items()}
+    left = {unit: left_of(z[use], error[use]) for unit, z in rows.items()}
+    best = min(left, key=lambda one: left[one])
+    unit = best if left[best] <= EXPLAINS and CLEAR * left[best] < left[""] else ""
+    if not one.angle.unit and not unit and np.ptp(raw["q1_rad"][use]) > TURNS:
+        unit = "deg"
+    z = rows[unit]
+    warnings, shown = [], one.angle.unit or unit or "rad"
+    clear = bool(one.angle.unit) or sorted(left.values())[1] >= CLEAR * left[unit]
+    if not clear:
+        warnings.append(f"the unit of {one.angle.name!r} does not show: {shown} is taken; set it by hand if it is "
+                        "another")
+    if left[unit] > EXPLAINS:
+        warnings.append(f"the motion explains {100 * max(1.0 - left[unit], 0.0):.0f} % of the command's error: "
+                        "the loop has a delay, an integral or a limit, or other joints move this one")
+    found = {"q1_rad": structs.replace(one.angle, unit=one.angle.unit or unit),
+             "q1_cmd_rad": structs.replace(one.command, unit=one.command.unit or unit)}
+    prefix = "" if clear else NOT_SURE
+    notes = {"q1_rad": f"{prefix}one angle that follows a command, in {shown}", "q1_cmd_rad": followed(one)}
+    made = z @ solve(z[use], error[use])
+    return Found(found, notes, warnings, [], (error, made), left=left[unit])
+
+
+def followed(one: Command) -> str:
+    """Words for how the angle follows: delay, correlation and sign."""
+    return (f"{one.angle.name!r} follows it {1e3 * one.late_s:.0f} ms later (correlation {abs(one.follows):.3f}), sign "
+            f"{one.command.sign:+d}")
+
+
+def servo_hint(joints: Sequence[int]) -> str:
+    """Advice for the rig file of joints that follow commands and log no torque."""
+    named = ", ".join(f"q{j}_cmd_rad" for j in joints)
+    return (f"no torque: the drive follows {named}. The rig file needs [servo], which legid init --from RUN.csv "
+            "writes. Give its gain in N m/rad there, or one known parameter to legid fit with --fix")
+
+
+def rates_of(imported: ImportedFile) -> list[str]:
+    """Columns that are commanded rates by their names, in the file's order."""
+    return [name for name in imported.names if re.search(NOT_MEASURED, name, re.IGNORECASE)
+            and re.search(A_RATE, name, re.IGNORECASE) and kind_of(name) != "tau"
+            and changes(imported.table_of(name).columns[name])]
+
+
+def feedforwards_of(imported: ImportedFile) -> list[str]:
+    """Columns that are feedforward torques by their names, in the file's order."""
+    return [name for name in imported.names if re.search(A_FEEDFORWARD, name, re.IGNORECASE)
+            and not re.search(A_RATE, name, re.IGNORECASE) and changes(imported.table_of(name).columns[name])]
+
+
+def is_rate_of(rate: FloatArray, command: FloatArray, rate_hz: float) -> int:
+    """1 or -1 where `rate` (n,) [rad/s] is the derivative of `command` (n,) [rad] or its negative, else 0."""
+    made = np.gradient(filled(command), 1.0 / rate_hz)
+    cutoff = band_hz(rate_hz)
+    slow, wanted = lowpass(filled(rate), cutoff, rate_hz), lowpass(made, cutoff, rate_hz)
+    size = float(slow.std()) / max(float(wanted.std()), 1e-30)
+    alike = _correlation(slow, wanted)
+    return int(np.sign(alike)) if abs(alike) > SURE_RATE and 1.0 / ALIKE < size < ALIKE else 0

@@ -1,0 +1,88 @@
+"""Feetech's own library against ours: it talks to our emulator over a pseudo-terminal, and reads what we build."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from drivers import feetech as sts
+from drivers.drive import Wiring
+from drivers.feetech import Address
+from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
+from drivers.mock.feetech_drive import MockFeetech, new_table
+from drivers.mock.plant import StillPlant, StillState
+from tests.support.processes import REAL_CLOCK
+
+sdk = pytest.importorskip("scservo_sdk")
+pytestmark = REAL_CLOCK
+
+
+@pytest.fixture
+def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[MockFeetech, Any]]:
+    monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 300)  # a loaded machine answers late
+    wiring = Wiring(node=3, rate_hz=200.0)
+    rig = MockRig(StillPlant(StillState(q2=1.0)), RealClock(), firmware=FirmwareSettings(), make=lambda *given:
+                  MockFeetech(given[0], wiring, *given[1:]))
+    drive: Any = rig.drive
+    drive.others[4] = new_table(4, 2825)
+    with PtyServer(drive, rig.clock) as server:
+        port = sdk.PortHandler(server.path)
+        assert port.openPort()
+        yield drive, sdk.sms_sts(port)
+        port.closePort()
+
+
+def test_the_library_reads_and_writes_the_emulated_servo(far: tuple[MockFeetech, Any]) -> None:
+    drive, handler = far
+    assert handler.ping(3) == (777, sdk.COMM_SUCCESS, 0)
+    assert handler.ReadPos(3) == (round(4096 / 6.283185307), sdk.COMM_SUCCESS, 0)
+    drive.table[Address.PHASE] = sts.MULTI_TURN
+    drive.settings = replace(drive.settings, knee_zero_rad=-3.0)
+    assert handler.ReadPos(3) == (round(-2.0 * 4096 / 6.283185307), sdk.COMM_SUCCESS, 0)
+    assert handler.unLockEprom(3) == (sdk.COMM_SUCCESS, 0)
+    assert handler.write1ByteTxRx(3, Address.MODE, sts.PWM_MODE) == (sdk.COMM_SUCCESS, 0)
+    assert handler.write1ByteTxRx(3, Address.TORQUE_ENABLE, 1) == (sdk.COMM_SUCCESS, 0)
+    assert handler.write2ByteTxRx(3, Address.GOAL_TIME, handler.scs_toscs(-200, 10)) == (sdk.COMM_SUCCESS, 0)
+    assert drive.torque_nm == pytest.approx(-0.2 * 2.9)
+    load, result, error = handler.read2ByteTxRx(3, Address.PRESENT_LOAD)
+    assert (handler.scs_tohost(load, 10), result, error) == (-200, sdk.COMM_SUCCESS, 0)
+    drive.bus_v = 10.0
+    error = handler.read1ByteTxRx(3, Address.PRESENT_VOLTAGE)[2]
+    assert "voltage" in handler.getRxPacketError(error) and drive.table[Address.TORQUE_ENABLE] == 0
+
+
+def test_its_sync_read_finds_both(far: tuple[MockFeetech, Any]) -> None:
+    _, handler = far
+    group = sdk.GroupSyncRead(handler, Address.MODEL, 2)
+    assert group.addParam(3) and group.addParam(4)
+    assert group.txRxPacket() == sdk.COMM_SUCCESS
+    assert [group.getData(i, Address.MODEL, 2) for i in (3, 4)] == [777, 2825]
+
+
+def test_we_build_what_it_builds_byte_for_byte() -> None:
+    sent: list[bytes] = []
+
+    class Port:
+        """A port that keeps what the library writes."""
+
+        is_using = False
+
+        def clearPort(self) -> None:
+            return None
+
+        def writePort(self, data: Any) -> int:
+            sent.append(bytes(data))
+            self.is_using = False
+            return len(data)
+
+        def setPacketTimeout(self, length: int) -> None:
+            return None
+
+    handler = sdk.sms_sts(Port())
+    handler.readTx(5, 56, 2)
+    handler.syncWriteTxOnly(40, 1, [9, 0], 2)
+    handler.portHandler.is_using = False
+    handler.syncReadTx(56, 15, [1, 2, 7], 3)
+    assert sent == [sts.read(5, 56, 2), sts.silent_write(9, 40, b"\0"), sts.sync_read([1, 2, 7], 56, 15)]
+    assert all(handler.scs_toscs(n, 15) == sts.from_signed(n) for n in (-32767, -1, 0, 1, 32767))

@@ -1,0 +1,112 @@
+"""Recordings as other projects' programs write them: PACE, LeRobot, BAM, ROS trajectories, registers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from daq import Dataset, FloatArray
+
+DEGREE = np.pi / 180.0
+SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
+
+
+def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: bool = False,
+            robot: str = "so101_follower") -> list[Path]:
+    """A data set of an SO-101 whose joints are runs, in degrees; version 3 in one file, 2.1 in one an episode.
+
+    As `LeRobotDataset` writes them: float32 lists of fixed size, timestamps that begin anew in every episode.
+    """
+    names = [f"{name}.pos" for name in SO101]
+    feature = {"dtype": "float32", "shape": [6], "names": {"motors": names} if v2 else names}
+    (folder / "meta").mkdir(parents=True)
+    (folder / "meta/info.json").write_text(json.dumps({
+        "codebase_version": "v2.1" if v2 else "v3.0", "robot_type": robot, "fps": fps,
+        "features": {"action": feature, "observation.state": feature}}))
+    tables = []
+    for k, joints in enumerate(episodes):
+        state, action = (np.stack([run[name] for run in joints], axis=1) / DEGREE
+                         for name in ("q1_rad", "q1_cmd_rad"))
+        n = len(state)
+        tables.append(pa.table({
+            "action": pa.FixedSizeListArray.from_arrays(pa.array(action.astype(np.float32).ravel()), 6),
+            "observation.state": pa.FixedSizeListArray.from_arrays(pa.array(state.astype(np.float32).ravel()), 6),
+            "timestamp": pa.array((np.arange(n) / fps).astype(np.float32)), "frame_index": pa.array(np.arange(n)),
+            "episode_index": pa.array(np.full(n, k)), "index": pa.array(np.arange(n)),
+            "task_index": pa.array(np.zeros(n, dtype=int))}))
+    data = folder / "data/chunk-000"
+    data.mkdir(parents=True)
+    if v2:
+        paths = [data / f"episode_{k:06d}.parquet" for k in range(len(tables))]
+        for table, path in zip(tables, paths):
+            parquet.write_table(table, path)
+        return paths
+    parquet.write_table(pa.concat_tables(tables), data / "file-000.parquet")
+    return [data / "file-000.parquet"]
+
+
+def bam(path: Path, run: Dataset, motor: str, released_s: float = np.inf) -> Path:
+    """A recording of bam/dynamixel/record.py with the load as a register without its sign; the goal goes on where the
+    servo is released."""
+    duty = np.round(0.25 * 885 * np.sin(3.0 * run.time_s)).astype(int)
+    entries = [{"position": q, "speed": 0.0, "load": int(d) % 65536, "input_volts": 7.3, "temp": 28, "timestamp": t,
+                "goal_position": c, "torque_enable": bool(t < released_s)}
+               for t, q, c, d in zip(run.time_s, run["q1_rad"], run["q1_cmd_rad"], duty)]
+    path.write_text(json.dumps({"mass": 0.49, "arm-mass": 0.02, "length": 0.1, "kp": 100, "vin": 7.4, "motor": motor,
+                                "trajectory": "sin_sin", "entries": entries}))
+    return path
+
+
+def trajectory_bag(folder: Path, run: Dataset, points_s: FloatArray) -> Path:
+    """A bag of /joint_states at the run's times and one /joint_trajectory that commands `run`'s at `points_s`."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    t = store.types
+    header, stamp, span = t["std_msgs/msg/Header"], t["builtin_interfaces/msg/Time"], \
+        t["builtin_interfaces/msg/Duration"]
+    state_type, plan_type = t["sensor_msgs/msg/JointState"], t["trajectory_msgs/msg/JointTrajectory"]
+    point_type, none = t["trajectory_msgs/msg/JointTrajectoryPoint"], np.zeros(0)
+    begin = 1_700_000_000_000_000_000
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        states = writer.add_connection("/joint_states", state_type.__msgtype__, typestore=store)
+        plans = writer.add_connection("/arm/joint_trajectory", plan_type.__msgtype__, typestore=store)
+        wanted = np.interp(points_s, run.time_s, run["q1_cmd_rad"])
+        points = [point_type(np.array([q]), none, none, none, span(*divmod(round(s * 1e9), 1_000_000_000)))
+                  for s, q in zip(points_s, wanted)]
+        plan = plan_type(header(stamp(0, 0), ""), ["elbow"], points)
+        writer.write(plans, begin, store.serialize_cdr(plan, plan_type.__msgtype__))
+        for time_s, q in zip(run.time_s, run["q1_rad"]):
+            at = begin + round(time_s * 1e9)
+            state = state_type(header(stamp(*divmod(at, 1_000_000_000)), ""), ["elbow"], np.array([q]), none, none)
+            writer.write(states, at, store.serialize_cdr(state, state_type.__msgtype__))
+    return folder
+
+
+def feetech(path: Path, run: Dataset, multi_turn: bool = False) -> Path:
+    """Registers of an STS3215 as they are read: magnitudes with a sign bit, 15 of angles and 10 of the load."""
+    def magnitude(values: FloatArray, bit: int) -> FloatArray:
+        whole = np.round(values)
+        return np.where(whole < 0, -whole + 2**bit, whole)
+
+    shift = 0.0 if multi_turn else 2048.0
+    counts = {name: magnitude(run[name] * 4096 / (2.0 * np.pi) + shift, 15) for name in ("q1_rad", "q1_cmd_rad")}
+    load = magnitude(1000.0 * np.clip(2.0 * (run["q1_cmd_rad"] - run["q1_rad"]), -1.0, 1.0), 10)
+    table = [run.time_s, counts["q1_cmd_rad"], counts["q1_rad"], load, np.full(len(run), 121.0), np.full(len(run), 7.0)]
+    np.savetxt(path, np.column_stack(table), delimiter=",", comments="", fmt="%.9g", header=(
+        "time,Goal_Position,Present_Position,Present_Load,Present_Voltage,Present_Current"))
+    return path
+
+
+def dynamixel(path: Path, run: Dataset) -> Path:
+    """Registers of an XL330 as they are read: 32 and 16 bits, negative numbers as large ones."""
+    position = np.mod(np.round(run["q1_rad"] * 4096 / (2.0 * np.pi)), 2.0**32)
+    pwm = np.mod(np.round(885 * np.clip(run["q1_cmd_rad"] - run["q1_rad"], -1.0, 1.0)), 2.0**16)
+    goal = np.mod(np.round(run["q1_cmd_rad"] * 4096 / (2.0 * np.pi)), 2.0**32)
+    np.savetxt(path, np.column_stack([run.time_s, position, goal, pwm, np.full(len(run), 50.0)]), delimiter=",",
+               comments="", fmt="%.12g", header="time,present_position,goal_position,present_pwm,present_input_voltage")
+    return path
