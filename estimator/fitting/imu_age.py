@@ -1,4 +1,4 @@
-"""`rough_age`: how late an IMU is against encoders and torque, before any fit.
+"""Age of an IMU against encoders and torque: `rough_age` before any fit, `with_skew` as a term of one.
 
 Least squares of the filtered motion need no start and have one minimum. A late IMU leaves a residual at every joint, a
 free pivot's above all: it is least where the IMU's readings are moved by their age. (Measured on legs of seven signal
@@ -13,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
+from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
+from estimator.likelihood import LatentProblem, Noise, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.result import TWO_SIDED
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut, is_plain, with_earlier_imu
 
 STEP_S = 0.002
@@ -58,3 +62,53 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
         return 0.0
     before, here, after = costs[k - 1 : k + 2]
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
+
+
+def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+               options: FitOptions, floors: Noise, bound_s: float, age_s: float = 0.0
+               ) -> tuple[State, float | None, str]:
+    """`state` with the IMU's time line free against the controller's, and a sentence about it.
+
+    `bound_s` is 0 where no clock says how late the readings are; they were moved by `age_s` already.
+
+    Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
+    viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
+    the lines stay as they are, and there is no skew.
+    """
+    wide = like(problem, signals, (SensorTimeSkew(),))
+    again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
+    again = iterate(wide, again, np.append(free, True), options, floors)
+    skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
+    if bound_s == 0.0:
+        late = skew + age_s
+        told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
+                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
+        return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
+            state, None, "this motion does not determine how late the IMU is")
+    if not again.converged or std > bound_s:
+        return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
+                             "does not determine it better")
+    if abs(skew) > bound_s:
+        return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
+                             f"clocks' {bound_s * 1e6:.0f} us. This is not corrected, because something else is wrong: "
+                             "run legid diagnose")
+    told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
+            f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
+    return _skewed(state, again), skew, told
+
+
+def _skewed(state: State, again: State) -> State:
+    """The state of the fit with a skew, after that of `state`, without the skew."""
+    return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
+                 state.iterations + again.iterations)
+
+
+def _late(skew_s: float) -> str:
+    """In words, with the sign as a direction."""
+    return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
+
+
+def like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect] = ()) -> LatentProblem:
+    """The likelihood of other segments as `problem` has it, with effects that need no `Stage`."""
+    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, effects=effects)
+    return found.with_disturbance() if problem.disturbed else found

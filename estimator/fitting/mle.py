@@ -11,12 +11,13 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.effects import Effect, SensorTimeSkew
+from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
     alike,
@@ -30,7 +31,7 @@ from estimator.fitting.disturbance import (
 from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.imu_age import LATEST_S, rough_age
+from estimator.fitting.imu_age import like, rough_age, with_skew
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
@@ -38,14 +39,23 @@ from estimator.fitting.omitted_effects import omitted_effects, small_effects, wi
 from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
+from estimator.fitting.small_faults import SmallFault, faults_shown, sizes_of, told, without_faults
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
-from estimator.result import TWO_SIDED, FitResult, Trajectory
-from estimator.score import agreement_of, nuisance_candidates, nuisances_of, score_at, score_runs, total
+from estimator.result import FitResult, Trajectory
+from estimator.score import (
+    SensorFaults,
+    agreement_of,
+    nuisance_candidates,
+    nuisances_of,
+    score_at,
+    score_runs,
+    total,
+)
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals, with_earlier_imu
 
 LEAST_AGE = (1e-3, 0.1)
@@ -53,6 +63,9 @@ LEAST_AGE = (1e-3, 0.1)
 the fit."""
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
+LEAST_GAIN = 0.01
+"""Fall of -2 log likelihood a sample from which on small faults of sensors are taken off the readings: it is that of a
+tenth of the noise's spread."""
 DISTURBANCE_ROUNDS = 3
 """Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
@@ -62,19 +75,50 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     signals = split_signals(datasets, mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     moved, age_s = _without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
-    if age_s:
-        found = _fit(moved, mechanism, options, bound_s, age_s)
-        if found is not None:
-            return found
-    found = _fit(signals, mechanism, options, bound_s, 0.0)
+    found = _fit(moved, mechanism, options, _Known(bound_s, age_s)) if age_s else None
+    if found is None:
+        found = _fit(signals, mechanism, options, _Known(bound_s))
     assert found is not None
-    return found
+    if not found.faults:
+        return found.result
+    with suppress(FitError):
+        again = _fit(list(found.less), found.result.mechanism, replace(
+            options, hold=found.hold, smoothing_velocity="given"), found.known._replace(taken=found.faults))
+        if again is not None and again.result.converged and again.value < found.value:
+            first = found.result
+            return replace(again.result, hold_margin=first.hold_margin, wall_s=first.wall_s + again.result.wall_s,
+                           assumptions=(first.assumptions[0], *again.result.assumptions[1:], told(found.faults)))
+    return found.result
 
 
-def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bound_s: float, age_s: float
-         ) -> FitResult | None:
-    """`fit_mle` of segments whose IMU was moved by `age_s` [s]; None where no fit confirms that age."""
-    start = time.perf_counter()
+class _Known(NamedTuple):
+    """What is known of segments before they are fitted."""
+
+    bound_s: float
+    """See `Dataset.clock_bound_s`."""
+    age_s: float = 0.0
+    """By which their IMU was moved."""
+    aged: bool = False
+    """Whether a fit found the IMU late."""
+    taken: tuple[SmallFault, ...] = ()
+    """Off their readings."""
+
+
+class _Fitted(NamedTuple):
+    """A fit, and the segments without the small faults of sensors that it shows."""
+
+    result: FitResult
+    value: float
+    """-2 log likelihood"""
+    hold: str
+    known: _Known
+    faults: tuple[SmallFault, ...] = ()
+    less: Sequence[SignalSet] = ()
+
+
+def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, known: _Known) -> _Fitted | None:
+    """`fit_mle` of segments; None where no fit confirms the age that their IMU was moved by."""
+    start, (bound_s, age_s, *_) = time.perf_counter(), known
     free, beta = free_mask(mechanism, options)
     problem, state, chosen = _search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
@@ -84,26 +128,29 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
         problem, state = _search(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
     skew, found = None, None
-    aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
+    aged = known.aged or age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
     if (bound_s > 0.0 or aged) and problem.has_imu:
         floors = noise_floors(problem, mechanism, state.beta)
-        state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
+        state, skew, found = with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
     if age_s and skew is None:
         return None
     if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    faults, less = tuple[SmallFault, ...](), list[SignalSet]()
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result = _with_scores(result, problem, signals, state, free, skew, options)
-    known = prior_values(result.mechanism, options.prior, *without_tolerances(result))
-    result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
+            result, faults, less = _with_scores(result, problem, signals, state, free, skew, options, known.taken)
+    value = problem.motion_equations(state.x, state.beta, state.noise).objective + 2.0 * problem.log_volume(state.noise)
+    prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
+    result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
     said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found) if text is not None)
-    return replace(result, assumptions=(*result.assumptions, *said))
+    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value, options.hold,
+                   known._replace(aged=aged), faults, less)
 
 
 def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
@@ -222,62 +269,15 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
     return problem, state
 
 
-def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
-               options: FitOptions, floors: Noise, bound_s: float, age_s: float = 0.0
-               ) -> tuple[State, float | None, str]:
-    """`state` with the IMU's time line free against the controller's, and a sentence about it.
-
-    `bound_s` is 0 where no clock says how late the readings are; they were moved by `age_s` already.
-
-    Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
-    viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
-    the lines stay as they are, and there is no skew.
-    """
-    wide = _like(problem, signals, (SensorTimeSkew(),))
-    again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
-    again = iterate(wide, again, np.append(free, True), options, floors)
-    skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
-    if bound_s == 0.0:
-        late = skew + age_s
-        told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
-                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
-        return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
-            state, None, "this motion does not determine how late the IMU is")
-    if not again.converged or std > bound_s:
-        return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
-                             "does not determine it better")
-    if abs(skew) > bound_s:
-        return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
-                             f"clocks' {bound_s * 1e6:.0f} us. This is not corrected, because something else is wrong: "
-                             "run legid diagnose")
-    told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
-            f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
-    return _skewed(state, again), skew, told
-
-
-def _skewed(state: State, again: State) -> State:
-    """The state of the fit with a skew, after that of `state`, without the skew."""
-    return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
-                 state.iterations + again.iterations)
-
-
-def _late(skew_s: float) -> str:
-    """In words, with the sign as a direction."""
-    return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
-
-
-def _like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect] = ()) -> LatentProblem:
-    """The likelihood of other segments as `problem` has it, with effects that need no `Stage`."""
-    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, effects=effects)
-    return found.with_disturbance() if problem.disturbed else found
-
-
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                 free: NDArray[np.bool_], skew: float | None, options: FitOptions) -> FitResult:
-    """`result` with its budget, with what its runs disagree about in its covariance and, where asked for, with the
-    effects that it lacks: all from one score of each run."""
+                 free: NDArray[np.bool_], skew: float | None, options: FitOptions, taken: Sequence[SmallFault]
+                 ) -> tuple[FitResult, tuple[SmallFault, ...], list[SignalSet]]:
+    """`result` with all that one score of each run says; small faults of sensors, and the segments without them.
+
+    Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
+    """
     if skew is not None:
-        problem, free = _like(problem, signals, (SensorTimeSkew(),)), np.append(free, True)
+        problem, free = like(problem, signals, (SensorTimeSkew(),)), np.append(free, True)
         state = replace(state, beta=np.append(state.beta, skew))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()
@@ -288,14 +288,20 @@ def _with_scores(result: FitResult, problem: LatentProblem, signals: list[Signal
 
     scores = score_runs(signals, of, problem, state)
     seen = scores.of(np.arange(free.size + sum(one.width for one in small)))
+    faults, less = tuple[SmallFault, ...](), list[SignalSet]()
     if options.tolerances is not None:
+        if not taken and scores.scores:
+            faults = faults_shown(SensorFaults.of(every, problem, free, options.tolerances), scores.scores,
+                                  LEAST_GAIN * problem.total)
+            less = without_faults(signals, of(signals), state, faults) if faults else []
         whole = total(scores.scores) if scores.scores else score_at(of(signals), state)
         result, scores = with_tolerances(result, whole, scores, (free, known), nuisances_of(
-            every, problem, options.tolerances), options.tolerances)
+            every, problem, options.tolerances), options.tolerances, sizes_of(taken, every))
     covariance, agreement = agreement_of(scores.of(np.arange(free.size)), np.append(result.beta, state.beta[
         result.beta.size :]), result.covariance, free, known)
     result = with_scatter(replace(result, agreement=agreement), covariance)
-    return result if not options.seeks_omitted else replace(result, omitted=omitted_effects(result, seen, free, small))
+    omitted = omitted_effects(result, seen, free, small) if options.seeks_omitted else result.omitted
+    return replace(result, omitted=omitted), faults, less
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:

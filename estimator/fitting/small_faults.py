@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from daq import FloatArray
 from estimator.effects import Effect
-from estimator.likelihood import LatentProblem, State
-from estimator.score import SensorFaults
+from estimator.likelihood import Candidate, LatentProblem, State
+from estimator.score import Score, SensorFaults
 from estimator.signals import Channel, SignalSet, imu_channels, imu_columns
 
 
@@ -27,6 +29,29 @@ def small_faults(sensors: SensorFaults, sizes: FloatArray) -> list[SmallFault]:
     """Faults of the `sensors` with these `sizes` (k,)."""
     return [SmallFault(sensors.candidates[i].effect, size, tolerance) for i, size, tolerance in
             zip(sensors.which, sensors.parts(sizes), sensors.parts(sensors.tolerances), strict=True)]
+
+
+def faults_shown(sensors: SensorFaults, runs: Sequence[Score], least_gain: float) -> tuple[SmallFault, ...]:
+    """The small faults that the scores of `runs` show; none where they gain less than `least_gain`."""
+    found = sensors.chosen(runs, least_gain)
+    return () if found is None else tuple(small_faults(found, found.likeliest(runs).sizes))
+
+
+def told(faults: Sequence[SmallFault]) -> str:
+    """A sentence on faults that were taken off, with the sizes of at least half a tolerance."""
+    sizes = [f"{one.effect.key} {size.name} {value:.2g} (tolerance {tolerance:.2g})".replace("_", " ")
+             for one in faults for size, value, tolerance
+             in zip(one.effect.sizes, one.size, one.tolerance, strict=True) if abs(value) >= 0.5 * tolerance]
+    return ("small faults of sensors, within their tolerances, were taken off the readings: "
+            f"{'; '.join(sizes) or 'each is less than half its tolerance'}")
+
+
+def sizes_of(faults: Sequence[SmallFault], candidates: Sequence[Candidate]) -> FloatArray:
+    """(k,) sizes of `faults` in the columns of the `candidates`; zero of all others."""
+    known = {one.effect.key: one.size for one in faults}
+    return np.concatenate([np.zeros(0), *(
+        known.get(one.effect.key, np.zeros(one.width)) if not one.shape else np.zeros(one.width)
+        for one in candidates)])
 
 
 def without_faults(signals: Sequence[SignalSet], problem: LatentProblem, state: State, faults: Sequence[SmallFault]

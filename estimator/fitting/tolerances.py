@@ -28,14 +28,15 @@ NOISE, SCATTER, STEP = "noise", "scatter", "step"
 
 def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
                     known: tuple[NDArray[np.bool_], FloatArray | None], nuisances: Sequence[Nuisance],
-                    stated: Mapping[str, tuple[float, ...]]) -> tuple[FitResult, RunScores]:
+                    stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> tuple[FitResult, RunScores]:
     """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
 
     `whole` and each of `scores` are over m parameters, of which `known` has the estimated ones (m,) and the information
     of a prior, and the columns of `nuisances`. The step to the likeliest nuisances is right where the noise is as the
     model says, and wrong where it is not. The estimate is half way, with a rectangular distribution between both ends
     (JCGM 100, 4.3.7). Tolerances that the runs contradict are wider in the covariance and not in the step: what is
-    wrong then may not be what they are of.
+    wrong then may not be what they are of. `taken` (k,) are sizes that were taken off the readings before: there the
+    score of their prior is -n / t^2.
     """
     free, prior = known
     used = np.flatnonzero([one.tolerance > 0.0 for one in nuisances])
@@ -46,8 +47,10 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     if not every or not np.isfinite(result.covariance).all():
         return result, scores
     plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
-    wide, factors = enlarged(plain, every)
-    marginal, likeliest = marginalise(robust, wide), marginalise(robust, every)
+    known_sizes = np.append(taken[used], np.zeros(len(full.nuisances)))
+    wide, factors = enlarged(replace(plain, score=plain.score + plain.information @ known_sizes), every)
+    drawn = known_sizes / np.array([one.tolerance for one in every]) ** 2
+    marginal, likeliest = marginalise(robust, wide), marginalise(replace(robust, score=robust.score - drawn), every)
     step = np.zeros(full.score.score.size)
     step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
     p = len(result.beta)
