@@ -73,7 +73,7 @@ def run_fit(tmp_path: Path, columns: dict[str, np.ndarray], rig: str, *options: 
 def rows_with_numbers(out: str) -> list[str]:
     """Parameters that the printed table gives a number for."""
     rows = [line.split() for line in out.splitlines() if line.startswith("beta")]
-    return [row[0] for row in rows if row[1] != "not"]
+    return [row[0] for row in rows if row[0].isalnum() and row[1] != "not"]  # a sentence may begin with a name
 
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS)
@@ -138,7 +138,7 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, capsy
     status, _ = run_fit(tmp_path, knee_locked(), LEG_RIG, "--method", "wls", "--model-out", str(model))
     assert status == 1
     assert not model.exists()
-    assert "no mechanism's" in capsys.readouterr().err
+    assert "no model was written: this data does not determine" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
