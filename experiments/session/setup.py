@@ -54,6 +54,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
     if free_swing:
         settings = structs.replace(settings, actuated=())
         mechanism = build_mechanism(settings)
+    followers = set.intersection(*(set(d.by_law) for d in datasets)) if datasets else set()
+    mechanism = replace(mechanism, followers=tuple(sorted(j - 1 for j in followers if j - 1 in mechanism.actuated)))
     for name in fixed or {}:
         if name not in mechanism.names:
             raise InputError("--fix", f"{settings.model} has no parameter {name}",

@@ -79,7 +79,7 @@ def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.Captu
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):
         load_runs([tmp_path / "bare.csv"], parse_rig(RIG))
-    for servo, what in (("damping = 0.1\n", "say nothing without a gain"),
+    for servo, what in (("damping = 0.1\n", "says nothing without servo.gain"),
                         ("gain = [1.0, 2.0]\n", r"servo\.gain has 2 numbers"), ("gain = -1.0\n", "gain")):
         with pytest.raises(InputError, match=what):
             parse_rig(RIG + servo)
