@@ -13,8 +13,8 @@ from estimator.effects.loop_effect import LoopEffect, reach
 class InputLimit(LoopEffect):
     """w - c (w - clip(w, +-l)): of w beyond the level l the loop loses the share c, 1 at a hard limit.
 
-    The level is a share of what it wants if the error is half of the joint's range of angles. `torque_saturation` is the
-    limit that is approached slowly.
+    The level is a share of what it wants if the error is half of the joint's range. `torque_saturation` is the limit
+    that is approached slowly.
     """
 
     name = "input_limit"
