@@ -57,7 +57,7 @@ def runs(spoil: Spoil = healthy, count: int = 4, seed: int = 1) -> list[Dataset]
         columns, rng = spoil(waves(10 * seed + k)), np.random.default_rng([seed, k])
         step = 2.0 * np.pi / 4096.0
         columns["q2_rad"] = np.round(columns["q2_rad"] / step) * step
-        columns["tau2_nm"] = columns["tau2_nm"] + 0.005 * rng.normal(size=TIME.size)
+        columns["tau2_nm"] = columns["tau2_nm"] + 0.005 * rng.normal(size=TIME.size) * (columns["tau2_nm"] != 0.0)
         found.append(Dataset(f"r{k + 1}", RATE_HZ, TIME, columns))
     return found
 
