@@ -14,7 +14,7 @@ from estimator.signals import angle_column, command_columns, torque_column
 
 DUTY = "duty"
 """Column of what a loop gives a motor on voltage."""
-LIMIT = 0.98
+LIMIT = 0.95
 """Share of the largest input from which on a loop may be at its limit."""
 OFF, NOTHING = 5, 1e-2
 """Samples without any input from which on the loop was off; none is less than this share of the largest."""
