@@ -11,7 +11,7 @@ from daq.loop import Loop
 
 Gain = Annotated[float, Meta(gt=0, le=1e6)]
 Share = Annotated[float, Meta(ge=0, le=1e6)]
-Delay = Annotated[float, Meta(ge=0, le=1)]
+Delay = Annotated[float, Meta(ge=-1, le=1)]
 LATENESS, SCALE = "command_delay", "torque_gain"
 """Effects that the tolerances of a delay and of a gain are of."""
 

@@ -18,6 +18,7 @@ from estimator.effects.base import (
     TorqueEffect,
     View,
 )
+from estimator.effects.command_delay import CommandDelay
 from estimator.effects.commanded import Commanded, Told
 from estimator.effects.derivatives import Laws, by_motion, in_loop
 from estimator.effects.encoder_offset import EncoderOffset
@@ -38,6 +39,7 @@ __all__ = [
     "Axis",
     "Backlash",
     "BodyEffect",
+    "CommandDelay",
     "Commanded",
     "Effect",
     "EncoderEffect",

@@ -28,6 +28,5 @@ class CommandSteps(LoopEffect):
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:
         error, rate_error = told.error(*motion)
-        held = 0.5 * np.asarray(told.loop.period_s)
-        angle = told.told.at(told.place, held + told.loop.delay_s)[0]
+        angle = told.heard[0]
         return made(told, error + size[0] * (np.round(angle / size[1]) * size[1] - angle), rate_error, motion[1])

@@ -50,6 +50,14 @@ class Commanded:
     place: FloatArray
     """(...) in samples of the record"""
     told: Told
+    heard: tuple[FloatArray, FloatArray]
+    """Commanded angle and rate (n, ...) as the loops have them, late as stated"""
+
+    @classmethod
+    def of(cls, loop: Loop, supply: FloatArray, summed: FloatArray, place: FloatArray, told: Told) -> Self:
+        """With what the loops hear."""
+        late = 0.5 * np.asarray(loop.period_s) + loop.delay_s
+        return cls(loop, supply, summed, place, told, told.at(place, late))
 
     @property
     def follows(self) -> NDArray[np.bool_]:
@@ -59,10 +67,18 @@ class Commanded:
 
     def cut(self, index: Any) -> Self:
         """The instants `index`, as an index of arrays (n, ...)."""
+        angle, rate = self.heard
         return replace(self, loop=self.loop.at(index), supply=self.supply[index], summed=self.summed[index],
-                       place=self.place[index])
+                       place=self.place[index], heard=(angle[index], rate[index]))
 
-    def error(self, q: FloatArray, v: FloatArray, a: FloatArray, late_s: float | FloatArray = 0.0
+    def of_joint(self, joint: int) -> Self:
+        """What the loop of one joint is told, the arrays (1, ...)."""
+        own, (angle, rate) = slice(joint, joint + 1), self.heard
+        told = replace(self.told, angle=self.told.angle[own], rate=self.told.rate[own])
+        return replace(self, loop=self.loop.at(own), supply=self.supply[own], summed=self.summed[own], told=told,
+                       heard=(angle[own], rate[own]))
+
+    def error(self, q: FloatArray, v: FloatArray, a: FloatArray, late_s: float = 0.0
               ) -> tuple[FloatArray, FloatArray]:
         """(n, ...) errors of angle and rate that the loops see at a motion (n, ...), their commands `late_s` later than
         stated.
@@ -71,7 +87,9 @@ class Commanded:
         that of the ticks on average.
         """
         held = 0.5 * np.asarray(self.loop.period_s)
-        angle, rate = self.told.at(self.place, held + self.loop.delay_s + late_s)
+        angle, rate = self.heard
+        if late_s:
+            angle, rate = self.told.at(self.place, held + self.loop.delay_s + late_s)
         return angle - (q - held * v + 0.5 * held**2 * a), self.loop.feedforward * rate - (v - held * a)
 
     def input(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:

@@ -22,15 +22,14 @@ class LoopEffect(TorqueEffect):
         j = self.joint or 0
         if at.commanded is None or not at.commanded.follows[j]:
             return np.zeros_like(at.q[j])
-        n = len(at.commanded.supply)
-        motion = at.q[:n], at.v[:n], at.a[:n]
-        stated = at.commanded.input(*motion)[j]
-        return np.asarray(stated - self.acting(at.commanded, motion, size, view)[j])
+        own, told = slice(j, j + 1), at.commanded.of_joint(j)
+        motion = at.q[own], at.v[own], at.a[own]
+        return np.asarray((told.input(*motion) - self.acting(told, motion, size, view))[0])
 
     @abstractmethod
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:
-        """(n, ...) torque of the loops [N m] at a motion q, v, a (n, ...), all joints' changed alike."""
+        """(1, ...) torque of the loop [N m] at a motion q, v, a (1, ...) of its joint."""
 
 
 def made(told: Commanded, error: FloatArray, rate_error: FloatArray, rate: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ def commands_at(signals: Sequence[SignalSet], left: NDArray[np.intp], dt_s: floa
     first = np.repeat(np.cumsum([0, *lengths[:-1]]), lengths)
     place = np.arange(first.size, dtype=np.float64)
     told = Told(np.ascontiguousarray(angle), np.ascontiguousarray(rate), first, dt_s)
-    blank = Commanded(loop, supply, np.zeros_like(supply), place, told)
+    blank = Commanded.of(loop, supply, np.zeros_like(supply), place, told)
     read = np.nan_to_num(np.concatenate([s.angles for s in signals]).T)
     error = blank.error(read, np.zeros_like(read), np.zeros_like(read))[0]
     samples = replace(blank, summed=summed(error, first, dt_s))
@@ -42,4 +42,4 @@ def _at_gauss(samples: Commanded, left: NDArray[np.intp]) -> Commanded:
     both = len(samples.supply), 2, left.size
     held = samples.loop.at((slice(None), left))
     loop = Loop(**{name: np.broadcast_to(values[:, None], both) for name, values in vars(held).items()})
-    return Commanded(loop, between(samples.supply), between(samples.summed), between(samples.place), samples.told)
+    return Commanded.of(loop, between(samples.supply), between(samples.summed), between(samples.place), samples.told)

@@ -39,8 +39,9 @@ def _corrected(data: Dataset, mechanism: Mechanism, joint: int, faults: Found) -
         return data
     columns = {name: data[name].copy() for name in (given, told, angle)}
     for where in data.segments([given, told, angle]):
-        values = [data[name][where] for name in (given, told, angle)]
-        run = corrected(LawRun(data.name, data.rate_hz, *values, np.ones(len(values[0]), dtype=bool)), faults)
+        every = np.ones(where.stop - where.start, dtype=bool)
+        run = corrected(LawRun(data.name, data.rate_hz, data[given][where], data[told][where], data[angle][where],
+                               every), faults)
         for name, new in zip((given, told, angle), (run.input, run.command, run.angle)):
             columns[name][where] = new
     if given == DUTY:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -105,8 +106,8 @@ def fitted(runs: Sequence[LawRun], known: Found, fault: LawFault) -> LawFit:
     for start in fault.starts:
         begin = np.array(start)
         simplex = np.vstack([begin, *(begin + 0.5 * abs(begin[k]) * np.eye(begin.size)[k] for k in range(begin.size))])
-        found = minimize(lambda size: at(size).deviance, begin, method="Nelder-Mead",
-                         options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-3, "maxiter": 80})
+        limits: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-3, "maxiter": 80}
+        found = minimize(lambda size: at(size).deviance, begin, method="Nelder-Mead", options=limits)
         tried.append(at(found.x))
     return min(tried, key=lambda one: one.deviance)
 

@@ -16,7 +16,8 @@ from estimator.signals import SUPPLY, command_columns, commands_of, input_by_law
 
 def needs_law(data: Dataset, rig: Rig) -> bool:
     """Whether the rig declares a servo whose input the run does not have."""
-    return rig.servo is not None and any(_input(rig, j) not in data for j in _joints(data, rig))
+    return rig.servo is not None and any(
+        j in data.by_law or _input(rig, j) not in data for j in _joints(data, rig))
 
 
 def with_law(data: Dataset, rig: Rig, servo: Servo) -> Dataset:
@@ -25,7 +26,7 @@ def with_law(data: Dataset, rig: Rig, servo: Servo) -> Dataset:
     driven, joints = sorted(rig.mechanism.actuated), _joints(data, rig)
     loops = {j: servo.loop(driven.index(j), rig.mechanism.input == "voltage") for j in joints}
     found, columns = replace(data, loops=loops), dict(data.columns)
-    made = tuple(j for j in joints if _input(rig, j) not in data)
+    made = tuple(j for j in joints if j in data.by_law or _input(rig, j) not in data)
     for j in made:
         angle, out = data[f"q{j}_rad"], np.full(len(data), np.nan)
         needed = [f"q{j}_rad", *(name for name in (*command_columns(j - 1), *SUPPLY[:1]) if name in data)]

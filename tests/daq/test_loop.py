@@ -48,7 +48,7 @@ def test_a_delay_and_a_gain_with_tolerances_are_in_the_budget() -> None:
 @pytest.mark.parametrize(("servo", "what"), [
     ("integral = 0.1\n", "says nothing without servo.gain"),
     ("gain = 1.0\nresistance_ohm = 3.0\n", "one of resistance_ohm"),
-    ("gain = 1.0\nrate_hz = 0.0\n", "rate_hz"), ("gain = 1.0\ndelay_s = -0.1\n", "delay_s")])
+    ("gain = 1.0\nrate_hz = 0.0\n", "rate_hz"), ("gain = 1.0\ndelay_s = -1.1\n", "delay_s")])
 def test_a_table_that_says_too_little_is_refused(servo: str, what: str) -> None:
     with pytest.raises(InputError, match=what):
         parse_rig(RIG + servo)
