@@ -55,7 +55,7 @@ class Commanded:
 
     @classmethod
     def of(cls, loop: Loop, supply: FloatArray, summed: FloatArray, place: FloatArray, told: Told) -> Self:
-        """With what the loops hear."""
+        """The commands with what the loops hear."""
         late = 0.5 * np.asarray(loop.period_s) + loop.delay_s
         return cls(loop, supply, summed, place, told, told.at(place, late))
 
@@ -72,7 +72,7 @@ class Commanded:
                        place=self.place[index], heard=(angle[index], rate[index]))
 
     def of_joint(self, joint: int) -> Self:
-        """What the loop of one joint is told, the arrays (1, ...)."""
+        """The commands of one joint, arrays (1, ...)."""
         own, (angle, rate) = slice(joint, joint + 1), self.heard
         told = replace(self.told, angle=self.told.angle[own], rate=self.told.rate[own])
         return replace(self, loop=self.loop.at(own), supply=self.supply[own], summed=self.summed[own], told=told,

@@ -121,7 +121,7 @@ def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
 
 
 def find_command_delay(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> float | None:
-    """How late commands act [s] by the motion of joints whose loop makes the torque, their mean; None where it does not
+    """The delay [s] of commands by the motion of joints whose loop makes the torque, their mean; None where it does not
     say. Raises `FitError`."""
     signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
     problem, state, _ = _search_hold(signals, mechanism, options, *mask)

@@ -103,11 +103,15 @@ def fitted(runs: Sequence[LawRun], known: Found, fault: LawFault) -> LawFit:
     def at(size: FloatArray) -> LawFit:
         return LawFit(tuple(runs), (*known, (fault, np.clip(size, fault.low, fault.most) * scale)))
 
+    def deviance(size: FloatArray) -> float:
+        return at(size).deviance
+
     for start in fault.starts:
         begin = np.array(start)
         simplex = np.vstack([begin, *(begin + 0.5 * abs(begin[k]) * np.eye(begin.size)[k] for k in range(begin.size))])
-        limits: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-3, "maxiter": 80}
-        found = minimize(lambda size: at(size).deviance, begin, method="Nelder-Mead", options=limits)
+        settings: dict[str, Any] = {"method": "Nelder-Mead", "options": {
+            "initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-3, "maxiter": 80}}
+        found = minimize(deviance, begin, **settings)
         tried.append(at(found.x))
     return min(tried, key=lambda one: one.deviance)
 

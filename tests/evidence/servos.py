@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
+from tests.evidence.servo_bam import section
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.paths import REAL
 from tests.support.servo_leg import ServoFaults, follow
@@ -174,8 +176,8 @@ def page(minutes: float, records: float, seed: int) -> Iterator[str]:
         f"from {int(seed)}.", "",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
         "s hold command and both angles. Intervals are Wilson's, 95 %.", "", *intervals(fits), "", *hidden(answers), "",
-        *(real(records) if REAL.is_dir() else ["The records of a real servo are left out: ../shared/realdata is not "
-                                               "next to the checkout."]), ""]
+        *(chain(section(), [""], real(records)) if REAL.is_dir() else [
+            "The records of a real servo are left out: ../shared/realdata is not next to the checkout."]), ""]
 
 
 def intervals(fits: Sequence[Fit]) -> Iterator[str]:
