@@ -44,7 +44,7 @@ def _corrected(data: Dataset, mechanism: Mechanism, joint: int, faults: Found) -
                                every), faults)
         for name, new in zip((given, told, angle), (run.input, run.command, run.angle)):
             columns[name][where] = new
-    if given == DUTY:
+    if given == DUTY and "volts" in data:
         columns[torque_column(mechanism, joint)] = columns[DUTY] * data["volts"]
     return replace(data, columns={**data.columns, **columns})
 
