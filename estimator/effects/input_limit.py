@@ -25,6 +25,7 @@ class InputLimit(LoopEffect):
     reference = "PWM, current and torque limits of servos' memory tables"
     experiment = "the same commands at two amplitudes"
     plans = ("large", "fast")
+    starts = ((1.0, 0.1), (1.0, 0.3))
 
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:

@@ -30,7 +30,7 @@ from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.paths import REAL
 from tests.support.servo_leg import ServoFaults, follow
 
-SEED, RUNS, SECONDS = 7000, 6, 8.0
+SEED, RUNS, SECONDS = 7000, 8, 8.0
 HIGH, AMPLITUDE = (2.2, 1.0, 1.6, 0.6), (0.9, 0.7, 0.5, 0.8)
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
 Law = Callable[..., tuple[float, float]]

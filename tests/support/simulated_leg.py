@@ -13,7 +13,9 @@ from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage
 from estimator.model import leg2
 from estimator.signals import Commands, SignalSet, encoder_of, imu_channels, imu_columns, torque_of
 
-MECHANISM = replace(leg2(lever_arm=0.2), followers=(1,))
+MECHANISM = leg2(lever_arm=0.2)
+FOLLOWER = replace(MECHANISM, followers=(1,))
+"""The same, its knee behind a position loop."""
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.02, 0.03])
 COUNT = 300
 TIME_S = np.arange(COUNT) / 100.0

@@ -22,12 +22,21 @@ from estimator.effects import Effect, GearEffect, LawEffect, Shape, Size, classe
 from estimator.effects.derivatives import Laws
 from estimator.effects.registry import joints_of, library_classes
 from estimator.likelihood import Candidate, Latents
-from estimator.model import Motion
+from estimator.model import Mechanism, Motion
 from estimator.options import FitOptions
 from estimator.signals import encoder_of, torque_of
 from tests.support.hidden_effects import HIDDEN, LEVELS, SENSORS, record_hidden
 from tests.support.hidden_loops import GAIN, HIDDEN_LOOPS, QUANTUM_RAD, record_loop
-from tests.support.simulated_leg import BETA, COUNT, MECHANISM, NOISE, TIME_S, SimulatedLeg, simulate_leg
+from tests.support.simulated_leg import (
+    BETA,
+    COUNT,
+    FOLLOWER,
+    MECHANISM,
+    NOISE,
+    TIME_S,
+    SimulatedLeg,
+    simulate_leg,
+)
 
 SIZES: dict[str, tuple[float, ...]] = {"base_compliance": (0.1, 2.0, 0.1), "backlash": (0.01, 0.0, 0.0, 2e-4, 0.1),
                                        "joint_elasticity": (0.01, 0.0, 0.0, 2e-4), "command_dead_band": (0.02,),
@@ -47,11 +56,16 @@ LEAST_SLOPE = 1e-8
 EVERY = pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
 
 
+def mechanism_of(kind: type[Effect]) -> Mechanism:
+    """A leg that can have the effect."""
+    return FOLLOWER if kind.per_loop else MECHANISM
+
+
 @cache
 def leg_with(kind: type[Effect]) -> SimulatedLeg:
     """The simulated leg with the effect, at the knee if it is of one joint."""
     effect = kind(1 if kind.per_joint else None)
-    why = effect.testable(MECHANISM, True, MECHANISM.actuated)
+    why = effect.testable(mechanism_of(kind), True, MECHANISM.actuated)
     if why:
         pytest.skip(f"a leg with an IMU cannot show it: {why}")
     size = [2.0 * s.scale for s in effect.sizes] + [s.grid[len(s.grid) // 2] for s in effect.shapes]
@@ -76,7 +90,7 @@ def test_it_vanishes_at_zero_size_and_acts_at_its_scale_at_every_joint(kind: typ
     leg = leg_with(kind)
     problem = leg.problem([])
     view = problem.view(moved(leg), BETA)
-    for effect in (placed(kind, joint, MECHANISM) for joint in joints_of(kind, MECHANISM)):
+    for effect in (placed(kind, joint, MECHANISM) for joint in joints_of(kind, mechanism_of(kind))):
         for shape in effect.grid():
             zero = effect.perturb(view, np.array([0.0] * len(effect.sizes) + [*shape]))
             for part in (zero.torque, zero.torque_at_samples, *zero.readings.values()):
@@ -198,7 +212,7 @@ def fitted(effect: Effect, runs: list[Dataset], options: FitOptions, gear: float
     parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
     default = [0.0] * len(effect.sizes) + [s.grid[len(s.grid) // 2] for s in effect.shapes]
     begin = np.array([start.get(part.name, value) for part, value in zip(parts, default)])
-    split = split_runs(runs, MECHANISM, options, gear)
+    split = split_runs(runs, mechanism_of(type(effect)), options, gear)
     nominal = fit_nominal(replace(split, train=(0, 1, 2), test=()))
     model = refit(nominal, [(effect, begin)], 40)
     return nominal, model, dict(zip([part.name for part in parts], map(float, model.sizes()[0])))
