@@ -6,7 +6,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects.base import Points, Size, TorqueEffect, View
-from estimator.effects.load_dependent_friction import carried_load
+from estimator.effects.load_dependent_friction import carried_load, of_servo
 from estimator.model import Mechanism
 
 
@@ -29,4 +29,4 @@ class QuadraticLoadFriction(TorqueEffect):
         return np.asarray(size[0] * carried_load(at, j, view) ** 2 * at.sign[j])
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return "" if self.joint in actuated else "the joint carries no measured torque"
+        return of_servo(mechanism, self.joint)

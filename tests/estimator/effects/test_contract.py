@@ -58,7 +58,7 @@ EVERY = pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
 
 def mechanism_of(kind: type[Effect]) -> Mechanism:
     """A leg that can have the effect."""
-    return FOLLOWER if kind.per_loop else MECHANISM
+    return FOLLOWER if kind.name in HIDDEN_LOOPS else MECHANISM
 
 
 @cache
