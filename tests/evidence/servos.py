@@ -172,8 +172,8 @@ def page(minutes: float, records: float, seed: int) -> Iterator[str]:
         print(kind, given, fits[-1] if kind == "fit" else answers[-1], flush=True)
     yield from [
         "# Servos: legs that follow a command", "",
-        f"Made by `make servos MINUTES={minutes:g} SEED={int(seed)}`, {datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds "
-        f"from {int(seed)}.", "",
+        f"Made by `make servos MINUTES={minutes:g} RECORDS={records:g} SEED={int(seed)}`, "
+        f"{datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds from {int(seed)}.", "",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
         "s hold command and both angles. Intervals are Wilson's, 95 %.", "", *intervals(fits), "", *hidden(answers), "",
         *(chain(section(), [""], real(records)) if REAL.is_dir() else [
