@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families looks compensation timing trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation timing trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -145,6 +145,11 @@ walker: $(STAMP)
 # IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
 imu-links: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/evidence/imu-links.md
+
+# Legs that follow a command, and the records of a real servo: a quarter of an hour. Called again it goes on; MINUTES=, SEED=.
+servos: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
+		--seed $(or $(SEED),7000) --out docs/evidence/servos.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

@@ -13,6 +13,7 @@ from .findings import Damage as Damage
 from .findings import Flag as Flag
 from .findings import ReadingFault as ReadingFault
 from .findings import Steps as Steps
+from .loop import Loop as Loop
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
 from .rig import Disturbance as Disturbance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from daq.findings import Damage, Flag, ReadingFault, Steps
 
 if TYPE_CHECKING:
+    from daq.loop import Loop
     from daq.rig import Rig
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +49,10 @@ class Dataset:
     """The rig file that a native run holds."""
     torque_delay_s: float = 0.0
     """By how much its torques were moved, from when they were measured to when they act [s]."""
+    loops: Mapping[int, Loop] = field(default_factory=dict)
+    """Joint, from 1, to the position loop that it follows."""
+    by_law: tuple[int, ...] = ()
+    """Joints, from 1, whose input was not measured: it is what their loop gives."""
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]

@@ -211,7 +211,8 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
         half = self.calibration.torque_constant_half_nm_per_a
         if half is not None and "none" not in found:
             found.setdefault("torque_gain", (half / 1.96 / self.calibration.torque_constant_nm_per_a,))
-        return found
+        own = {} if self.servo is None or "none" in found else self.servo.tolerances
+        return {**own, **found}
 
     @property
     def imus(self) -> tuple[Imu, ...]:

@@ -95,6 +95,8 @@ class FitOptions:
     named has its default, or none where there is a key `none`. None: all are zero."""
     gear_ratio: float = 1.0
     """Of the motor."""
+    unknown_delay: bool = False
+    """mle on one motion only: whether the delay of commands is estimated, of joints whose loop makes the torque."""
     seeks_omitted: bool = False
     """mle on one motion only: whether the fit looks for listed effects that would move its parameters."""
     latent: str = "trajectory"

@@ -15,12 +15,12 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
           "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
-    "daq": [["errors", "files", "findings", "dataset", "imu_mount", "mechanisms", "rig", "rig_columns",
+    "daq": [["errors", "files", "findings", "dataset", "imu_mount", "loop", "mechanisms", "rig", "rig_columns",
              "rig_devices", "rig_limits", "rig_sampling", "rig_text", "rig_types", "servo", "si_units"], ["runs"],
             ["looks"], ["timing"], ["recording"], ["calibration"]],
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
-                  ["signals"], ["effects"], ["likelihood"], ["score", "free_runs"], ["fitting"], ["prediction"],
-                  ["diagnosis", "calibration", "change"]],
+                  ["signals"], ["effects"], ["likelihood"], ["score", "free_runs", "loops"], ["fitting"],
+                  ["prediction"], ["diagnosis", "calibration", "change"]],
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
                     ["rig", "excite", "emulation", "session"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
@@ -31,7 +31,7 @@ LEVELS = 10
 """Most storeys that the rooms of one floor may stand above each other."""
 LINES, TOO_LONG = 400, 500
 """Beyond the first a file is due to be split by meaning, which the test warns of; beyond the second it is refused."""
-OF_DAQ = {"Dataset", "FloatArray"}
+OF_DAQ = {"Dataset", "FloatArray", "Loop"}
 """What the estimator knows of daq."""
 FILES = sorted(p for floor in FLOORS for p in (ROOT / floor).rglob("*.py"))
 

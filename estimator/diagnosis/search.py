@@ -36,6 +36,7 @@ from estimator.diagnosis.explanation import (
     seated,
     undetermined,
 )
+from estimator.diagnosis.loop_starts import by_loops_first, is_of_loop
 from estimator.diagnosis.model import (
     Model,
     deviance,
@@ -78,11 +79,12 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress) -> list[
     parents = [Explanation(context.nominal, 0.0, tests)]
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
-        starts = grown(context, parents)
-        fits = fit_sets(context, starts[:WIDTH])
+        starts = by_loops_first(grown(context, parents), WIDTH) if count == 1 else grown(context, parents)
+        width = WIDTH if count > 1 else WIDTH + sum(is_of_loop(start) for _, start in starts[WIDTH:])
+        fits = fit_sets(context, starts[:width])
         best = assess_answers(context, fits)
         if not best or promise(context, [*found, *best]).better:  # noise can hide what a wrong effect leaves
-            fits += fit_sets(context, tried(context, starts[WIDTH:]))
+            fits += fit_sets(context, tried(context, starts[width:]))
             best = assess_answers(context, without(fits, best), best)
         if not best:
             break

@@ -18,10 +18,13 @@ from estimator.effects.base import (
     TorqueEffect,
     View,
 )
-from estimator.effects.derivatives import Laws, by_motion
+from estimator.effects.command_delay import CommandDelay
+from estimator.effects.commanded import Commanded, Told
+from estimator.effects.derivatives import Laws, by_motion, in_loop
 from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
+from estimator.effects.loop_integral import RecordedMotion, SimulatedIntegral, summed
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
 from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
 from estimator.effects.sensor_time_skew import SensorTimeSkew
@@ -36,6 +39,8 @@ __all__ = [
     "Axis",
     "Backlash",
     "BodyEffect",
+    "CommandDelay",
+    "Commanded",
     "Effect",
     "EncoderEffect",
     "EncoderOffset",
@@ -49,14 +54,17 @@ __all__ = [
     "PlanKind",
     "Points",
     "Record",
+    "RecordedMotion",
     "SensorEffect",
     "SensorTimeSkew",
     "Shape",
+    "SimulatedIntegral",
     "Size",
     "StateEffect",
     "StateTorque",
     "StribeckFriction",
     "Table",
+    "Told",
     "TorqueDelay",
     "TorqueEffect",
     "Variable",
@@ -64,6 +72,8 @@ __all__ = [
     "battery",
     "by_motion",
     "classes",
+    "in_loop",
     "library",
-    "placed"
+    "placed",
+    "summed",
 ]

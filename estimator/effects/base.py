@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.effects.commanded import Commanded
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.signals import Channel
@@ -84,6 +85,8 @@ class Points:
     """1 where a walker's leg 2 stands, see `Mechanism.exchanged`."""
     state: FloatArray | float = 0.0
     """(...) of a `StateEffect`."""
+    commanded: Commanded | None = None
+    """What position loops are told; None where no joint has one."""
 
 
 @dataclass(frozen=True)
@@ -203,6 +206,8 @@ class Effect(ABC):
     by_hand: ClassVar[str] = ""
     """What shows it that no torque plan can do."""
     per_joint: ClassVar[bool] = False
+    per_loop: ClassVar[bool] = False
+    """Whether only joints that follow a command have it."""
     per_motor: ClassVar[bool] = False
     """Whether each of several motors has its own size; the only motor of a rig has no joint."""
     equivalence_class: ClassVar[str] = ""

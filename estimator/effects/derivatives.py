@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,26 +17,40 @@ STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3, "sign": 1e-4, "state": 1e-4}
 """Of the central differences, by field of `Points`."""
 
 
-def by_motion(effect: Joined, at: Points, size: FloatArray, view: View, joint: int | None = None
-              ) -> dict[str, FloatArray]:
+def by_motion(effect: Joined, at: Points, size: FloatArray, view: View, joint: int | None = None,
+              loops: bool = False) -> dict[str, FloatArray]:
     """Derivatives (...) of an effect's law by angle, rate, acceleration and smoothed sign of a `joint`, by default its
-    own."""
+    own; with `loops` the torque of its loop moves, too."""
     j = (effect.joint or 0) if joint is None else joint
-    return {name: _slope(effect, at, size, view, name, j) for name in STEPS if name != "state"}
+    return {name: _slope(effect, at, size, view, name, j, loops) for name in STEPS if name != "state"}
 
 
-def _slope(effect: Joined, at: Points, size: FloatArray, view: View, name: str, joint: int | None = None) -> FloatArray:
+def _slope(effect: Joined, at: Points, size: FloatArray, view: View, name: str, joint: int | None = None,
+           loops: bool = False) -> FloatArray:
     """Derivative (...) of the law by one array of `at`, at one joint where the array has joints."""
-    h = STEPS[name]
-    up, down = (effect.law(_moved(at, name, joint, by), size, view) for by in (h, -h))
+    h, driven = STEPS[name], in_loop if loops else lambda at: at
+    up, down = (effect.law(driven(_moved(at, name, joint, by)), size, view) for by in (h, -h))
     return np.asarray((up - down) / (2.0 * h))
+
+
+def in_loop(at: Points) -> Points:
+    """`at` with the torque that position loops make there on top of its own."""
+    return at if at.commanded is None else replace(at, u=at.u + loop_torque(at))
+
+
+def loop_torque(at: Points) -> FloatArray:
+    """(n, ...) torque of the position loops at the motion in `at`, whose further rows are bodies."""
+    assert at.commanded is not None
+    n = len(at.u)
+    return at.commanded.input(at.q[:n], at.v[:n], at.a[:n])
 
 
 def _moved(at: Points, name: str, joint: int | None, by: float) -> Points:
     """`at` with one array moved by `by`, at one joint where it has joints."""
     values = np.array(getattr(at, name))
     values[... if joint is None else joint] += by
-    return replace(at, **{name: values})
+    moved: dict[str, Any] = {name: values}
+    return replace(at, **moved)
 
 
 @dataclass(frozen=True)
@@ -49,6 +64,8 @@ class Laws:
     """Interval of `view` that the simulation calls its first."""
     start: FloatArray | None = None
     """(N, S) states of the simulation's samples along a motion near it, if the pairs have any."""
+    closed: bool = False
+    """Whether position loops make the torque of their joints; the torque of the view acts on top of that."""
 
     @cached_property
     def states(self) -> FloatArray:
@@ -58,6 +75,10 @@ class Laws:
     def torque(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
         """(n, 2, K) torque taken on the intervals `where`, with the states z (K + 1, S) at their ends."""
         at, out = self._points(motion, where), np.zeros_like(motion.angle)
+        if self.closed:
+            driving = loop_torque(at)
+            out[: len(driving)] -= driving
+            at = replace(at, u=at.u + driving)
         for part, size, state in self._parts(z):
             out[part.joint or 0] += part.law(_in_state(at, state), size, self.view)
         return out
@@ -67,10 +88,12 @@ class Laws:
         at = self._points(motion, where)
         n = len(motion.angle)
         out = np.zeros((n, 5, n, *motion.angle.shape[1:]))
+        if self.closed:
+            self._loop_slopes(at, out)
         for part, size, state in self._parts(z):
             j = part.joint or 0
             for k in part.felt(n):
-                found = by_motion(part, _in_state(at, state), size, self.view, k)
+                found = by_motion(part, _in_state(at, state), size, self.view, k, self.closed)
                 for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                     out[j, feature, k] += found[name]
                 scale = self.view.mechanism.velocity_scales[k]
@@ -79,13 +102,21 @@ class Laws:
                 out[j, RATE_TO, k] += found["sign"] * by_to
         return out
 
+    @staticmethod
+    def _loop_slopes(at: Points, out: FloatArray) -> None:
+        """Add those of the position loops to `out` (n, 5, n, 2, K): each feels its own joint."""
+        for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
+            h, j = STEPS[name], np.arange(len(at.u))
+            up, down = (loop_torque(_moved(at, name, None, by)) for by in (h, -h))
+            out[j, feature, j] -= (up - down) / (2.0 * h)
+
     def by_states(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
         """(n, 2, S, K) derivatives of the torque by the states at the Gauss points."""
         at = self._points(motion, where)
         n, points, count = motion.angle.shape
         out = np.zeros((n, points, z.shape[1], count))
         for s, (effect, size) in enumerate(self.with_state):
-            found = _slope(effect, _in_state(at, z[:, s]), size, self.view, "state")
+            found = _slope(effect, _in_state(at, z[:, s]), size, self.view, "state", None, self.closed)
             out[effect.joint or 0, :, s] = found
         return out
 
@@ -143,8 +174,10 @@ class Laws:
         g = self.view.gauss
         cut = (..., slice(self.first + where.start, self.first + where.stop))
         sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scales[:, None, None])[0]
+        told = None if g.commanded is None else g.commanded.cut(cut)
         return Points(motion.angle, motion.rate, motion.accel, g.u[cut], sign, g.time_s[cut], g.session_s[cut],
-                      g.run[cut], np.asarray(g.exchanged)[cut] if np.ndim(g.exchanged) else g.exchanged)
+                      g.run[cut], np.asarray(g.exchanged)[cut] if np.ndim(g.exchanged) else g.exchanged,
+                      commanded=told)
 
 
 def _in_state(at: Points, z: FloatArray | None) -> Points:

@@ -9,6 +9,24 @@ from estimator.effects.base import Points, Size, TorqueEffect, View
 from estimator.model import Mechanism
 
 
+def carried_load(at: Points, joint: int, view: View) -> FloatArray:
+    """(...) size of the torque that a joint transmits [N m]: tau - F sign(v); with a voltage input the inverse dynamics
+    of the links [V]."""
+    m = view.mechanism
+    if m.force_unit == "V":
+        links = np.array([p.rigid for p in m.parameters])
+        q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
+        return np.sqrt(m.inverse_dynamics(q, v, a, view.beta * links)[..., joint] ** 2 + 1e-6)
+    return np.sqrt((at.u[joint] * at.sign[joint] - view.parameter("coulomb", joint)) ** 2 + 1e-6)
+
+
+def of_servo(mechanism: Mechanism, joint: int | None) -> str:
+    """Reason against a finer law of friction by load: it is that of a servo's gears; empty behind a position loop or a
+    motor on voltage."""
+    driven = mechanism.actuated if mechanism.force_unit == "V" else mechanism.followers
+    return "" if joint in driven else "no servo drives this joint"
+
+
 class LoadDependentFriction(TorqueEffect):
     """F = Fc + mu |tau - F sign(v)|: dry friction grows with the transmitted torque, tau less friction.
 
@@ -31,10 +49,7 @@ class LoadDependentFriction(TorqueEffect):
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j, m = self.joint or 0, view.mechanism
         if m.force_unit == "V":
-            links = np.array([p.rigid for p in m.parameters])
-            q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
-            load = m.inverse_dynamics(q, v, a, view.beta * links)[..., j]
-            return size[0] * np.sqrt(load**2 + 1e-6) * at.sign[j]
+            return size[0] * carried_load(at, j, view) * at.sign[j]
         over = at.u[j] * at.sign[j] - view.parameter("coulomb", j)
         load = np.sqrt(over**2 + 1e-6)
         return size[0] * load / (1.0 + np.clip(size[0], -0.9, 0.9) * over / load) * at.sign[j]

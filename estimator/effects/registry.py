@@ -64,6 +64,8 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
 
 def joints_of(kind: type[Effect], mechanism: Mechanism) -> Sequence[int | None]:
     """0-based joints that have an effect of this kind; [None] for one of the whole rig."""
+    if kind.per_loop:
+        return mechanism.followers
     if kind.per_joint:
         return range(mechanism.n)
     return mechanism.actuated if kind.per_motor and len(mechanism.actuated) > 1 else [None]

@@ -7,6 +7,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.sensor_effects import TorqueSensorEffect
+from estimator.model import Mechanism
 from estimator.signals import Channel, torque_of
 
 
@@ -30,6 +31,11 @@ class TorqueDelay(TorqueSensorEffect):
         """Sentence that says which of both comes first, and by how much."""
         late_ms = 1e3 * abs(float(size[0]))
         return f"the torque acts {late_ms:.3g} ms {'before' if size[0] > 0.0 else 'after'} it was measured"
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        if actuated and set(actuated) <= set(mechanism.followers):
+            return "no torque was measured: the law of a loop makes it, and command_delay is how late that acts"
+        return super().testable(mechanism, has_imu, actuated)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         if view.measured is None:

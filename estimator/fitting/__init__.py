@@ -13,7 +13,7 @@ from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend, iterate
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
 from estimator.fitting.latent_motion import converge_motion
-from estimator.fitting.mle import describe_smoothing_velocity
+from estimator.fitting.mle import describe_smoothing_velocity, find_command_delay
 from estimator.fitting.next_measurement import CALIBRATED, Measurement, body_unit, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken_torques
@@ -42,6 +42,7 @@ __all__ = [
     "disturbance_levels",
     "disturbance_likelihood",
     "faults",
+    "find_command_delay",
     "find_disturbance",
     "fit",
     "fit_admissible",

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.effects import Effect, SensorTimeSkew
+from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import start_motions
+from estimator.fitting.loop_terms import extended
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
 from estimator.likelihood import LatentProblem, Noise, State
 from estimator.model import Mechanism
@@ -75,7 +76,7 @@ def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], fr
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    wide = like(problem, signals, (SensorTimeSkew(),))
+    wide = extended(problem, signals, (SensorTimeSkew(),))
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -106,9 +107,3 @@ def _skewed(state: State, again: State) -> State:
 def _late(skew_s: float) -> str:
     """In words, with the sign as a direction."""
     return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
-
-
-def like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect] = ()) -> LatentProblem:
-    """The likelihood of other segments as `problem` has it, with effects that need no `Stage`."""
-    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, effects=effects)
-    return found.with_disturbance() if problem.disturbed else found

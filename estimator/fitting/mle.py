@@ -31,9 +31,10 @@ from estimator.fitting.disturbance import (
 from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.imu_age import like, rough_age, with_skew
+from estimator.fitting.imu_age import rough_age, with_skew
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
+from estimator.fitting.loop_terms import Extra, extended, with_loop_terms
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
 from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
@@ -127,20 +128,24 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
         options = replace(options, hold=chosen.hold)
         problem, state = _search(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
+    loops = with_loop_terms(problem, state, signals, free, options)
+    state, extra = loops.state, loops.extra
     skew, found = None, None
     aged = known.aged or age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
-    if (bound_s > 0.0 or aged) and problem.has_imu:
+    if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
     if age_s and skew is None:
         return None
-    if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
+    if skew is not None:
+        extra = ((SensorTimeSkew(), np.array([skew])),)
+    if state.converged and not extra:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     faults, less = tuple[SmallFault, ...](), list[SignalSet]()
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result, faults, less = _with_scores(result, problem, signals, state, free, skew, options, known.taken)
+            result, faults, less = _with_scores(result, problem, signals, state, free, extra, options, known.taken)
     value = problem.motion_equations(state.x, state.beta, state.noise).objective + 2.0 * problem.log_volume(state.noise)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
@@ -148,7 +153,8 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found) if text is not None)
+    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found, *loops.told)
+                 if text is not None)
     return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value, options.hold,
                    known._replace(aged=aged), faults, less)
 
@@ -159,6 +165,15 @@ def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     signals, _ = _without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
     problem, _, chosen = _search_hold(signals, mechanism, options, *mask)
     return problem.collocation.hold if chosen is None else chosen.hold, problem.mechanism
+
+
+def find_command_delay(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> float | None:
+    """The delay [s] of commands by the motion of joints whose loop makes the torque, their mean; None where it does not
+    say. Raises `FitError`."""
+    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
+    problem, state, _ = _search_hold(signals, mechanism, options, *mask)
+    found = with_loop_terms(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")).extra
+    return float(np.mean([size[0] for _, size in found])) if found else None
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
@@ -270,15 +285,16 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
 
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                 free: NDArray[np.bool_], skew: float | None, options: FitOptions, taken: Sequence[SmallFault]
+                 free: NDArray[np.bool_], extra: Extra, options: FitOptions, taken: Sequence[SmallFault]
                  ) -> tuple[FitResult, tuple[SmallFault, ...], list[SignalSet]]:
     """`result` with all that one score of each run says; small faults of sensors, and the segments without them.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
-    if skew is not None:
-        problem, free = like(problem, signals, (SensorTimeSkew(),)), np.append(free, True)
-        state = replace(state, beta=np.append(state.beta, skew))
+    if extra:
+        problem = extended(problem, signals, [effect for effect, _ in extra])
+        more = np.concatenate([size for _, size in extra])
+        free, state = np.append(free, np.ones(more.size, dtype=bool)), replace(state, beta=np.append(state.beta, more))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()
     every = small if options.tolerances is None else nuisance_candidates(problem, small, options.tolerances)

@@ -33,6 +33,9 @@ def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: 
     """The likelihood of `some` of the `signals` of `problem`, with scores of `candidates`."""
     names = list(dict.fromkeys(one.run for one in signals))
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    if problem.stage.angle_range.any():  # sizes of its effects refer to that
+        known = np.ptp(problem.stage.angle_range, axis=1, keepdims=True) > 0.0
+        reach = np.where(known, problem.stage.angle_range, reach)
     first = {name: next(one for one in signals if one.run == name) for name in names}  # clocks may count from 1970
     lengths = [sum(len(one.time_s) for one in signals if one.run == name) / first[name].rate_hz for name in names]
     starts = dict(zip(names, np.cumsum([0.0, *lengths[:-1]]).tolist(), strict=True))

@@ -143,7 +143,7 @@ def _simulated(one: SmoothedRun, horizon_s: float) -> tuple[FloatArray, int]:
         return rows_of(one.problem, found.v, found.readings), found.lost
     out = np.full((len(channel_names(one.problem)), one.problem.total), np.nan)
     parts = pieces(one.problem, horizon_s)
-    if one.problem.effects:
+    if one.problem.effects or one.problem.closed:
         return out, len(parts)
     lost = 0
     for where in parts:

@@ -9,7 +9,17 @@ from itertools import pairwise
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import BodyEffect, Effect, LawEffect, Laws, SensorEffect, StateEffect, View
+from estimator.effects import (
+    BodyEffect,
+    Effect,
+    LawEffect,
+    Laws,
+    RecordedMotion,
+    SensorEffect,
+    SimulatedIntegral,
+    StateEffect,
+    View,
+)
 from estimator.likelihood.effect_columns import added
 from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.normal_equations import Latents
@@ -54,14 +64,16 @@ def free_run(problem: LatentProblem, state: State, drive: FloatArray | None = No
 
     With `or_still` a piece that diverges stays where it began: what one does says little of the others.
 
-    `drive` (N, n) is the torque, by default the true one in `state`. What effects with a memory add to the equation of
-    motion is found by repeated simulation, each with their torque of the one before. The search begins at the motion
-    `near` (q, v), by default that in `state`.
+    `drive` (N, n) is the torque, by default the true one in `state`. Of joints that follow commands it is what their
+    loops gave in the record and what acted on top of that, which acts in the simulation, too.
+
+    What effects with a memory add to the equation of motion is found by repeated simulation, each with their torque of
+    the one before. The search begins at the motion `near` (q, v), by default that in `state`.
     """
     m = problem.mechanism
     u = problem.motor_torque(state.x, state.beta) if drive is None else drive
     parts = pieces(problem, horizon_s)
-    plant = _Plant(problem, state, u, or_still)
+    plant = _Plant(problem, state, u, or_still, parts)
     found = _relaxed(plant, parts, near)
     if found is None and plant.memory:
         found = _marched(plant, parts)
@@ -83,10 +95,15 @@ def read_motion(problem: LatentProblem, state: State) -> dict[Channel, FloatArra
 
 def _readings(plant: _Plant, q: FloatArray, v: FloatArray, taken: FloatArray) -> dict[Channel, FloatArray]:
     problem, n = plant.problem, plant.problem.n
-    readings = {torque_of(j): plant.u[:, j].copy() for j in range(n)}
+    u = plant.acting(q, v)
+    for effect, size in plant.pairs:  # as if it was in the loop
+        if isinstance(effect, SimulatedIntegral):
+            lacking = effect.perturb(plant.view(q, v, taken), size).torque_at_samples
+            u = u if lacking is None else u - lacking.T
+    readings = {torque_of(j): u[:, j].copy() for j in range(n)}
     readings |= {encoder_of(j): q[:, j].copy() for j in range(n)}
     if not plant.pairs:
-        qdd, _ = problem.collocation.fast.forward_dynamics(q, v, plant.u, plant.beta)
+        qdd, _ = problem.collocation.fast.forward_dynamics(q, v, u, plant.beta)
         return readings | imu_readings(problem.mechanism, q.T, v.T, qdd)
     view = plant.view(q, v, taken)
     s = view.samples
@@ -111,10 +128,16 @@ def pieces(problem: LatentProblem, horizon_s: float) -> list[slice]:
 class _Plant:
     """What a free run integrates: the mechanism under a torque, with effects that feel the motion."""
 
-    def __init__(self, problem: LatentProblem, state: State, u: FloatArray, or_still: bool = False) -> None:
-        self.problem, self.start, self.u = problem, state.x, u
+    def __init__(self, problem: LatentProblem, state: State, u: FloatArray, or_still: bool = False,
+                 parts: Sequence[slice] | None = None) -> None:
+        self.problem, self.start = problem, state.x
+        self.closed = parts is not None and problem.closed
+        """Whether position loops make the torque."""
+        self.u = u - problem.torque if self.closed else u
         self.beta, sizes = problem.simulated(state.beta)
-        self.pairs = list(zip(problem.effects, sizes))
+        self.pairs: list[tuple[Effect, FloatArray]] = list(zip(problem.effects, sizes))
+        if parts is not None and self.closed:
+            self.pairs += integrals(problem, parts)
         self.memory = [p for p in self.pairs if _remembers(p[0])]
         """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
@@ -132,14 +155,25 @@ class _Plant:
                 self.u = np.column_stack([self.u, np.zeros_like(q)])
         instant = [(e, size) for e, size in self.pairs if isinstance(e, LawEffect) and not _remembers(e)]
         self.laws = None
-        if instant:
-            view = self.view(state.x.q, state.x.v)
-            self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta))
+        if instant or self.closed:
+            n = problem.n
+            view = problem.view(Latents(state.x.q, state.x.v, self.u[:, :n]), self.beta)
+            self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta), closed=self.closed)
+
+    def acting(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """(N, n) torque of the motors along the motion q, v (N, n)."""
+        n = self.problem.n
+        own, commands = self.u[:, :n], self.problem.commands
+        if not self.closed or commands is None:
+            return own
+        a = np.concatenate([np.gradient(part, self.problem.dt, axis=0)
+                            for part in np.split(v[:, :n], self.problem.ends[:-1])])
+        return np.asarray(own + commands[0].input(q[:, :n].T, v[:, :n].T, a.T).T)
 
     def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
         """At the motion q, v (N, n), where effects take `samples` (n, N)."""
         n = self.problem.n
-        return self.problem.view(Latents(q[:, :n], v[:, :n], self.u[:, :n]), self.beta, samples)
+        return self.problem.view(Latents(q[:, :n], v[:, :n], self.acting(q, v)), self.beta, samples)
 
     def run(self, where: slice, q: FloatArray, v: FloatArray, start: tuple[FloatArray, FloatArray],
             taken: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -302,6 +336,15 @@ def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
         share = _calmed(share, moved, last)
         last = moved
     return (q, v, samples) if moved <= LOOSE_RAD else None
+
+
+def integrals(problem: LatentProblem, parts: Sequence[slice]) -> list[tuple[Effect, FloatArray]]:
+    """Those of the position loops as a simulation of these `parts` has them; none where no loop integrates."""
+    if problem.commands is None or not np.nan_to_num(np.asarray(problem.commands[0].loop.integral)).any():
+        return []
+    first = np.repeat([p.start for p in parts], [p.stop - p.start for p in parts]).astype(np.intp)
+    recorded = np.nan_to_num(problem.angles.T)
+    return [(SimulatedIntegral(RecordedMotion(recorded, first)), np.zeros(0))]
 
 
 def _remembers(effect: Effect) -> bool:

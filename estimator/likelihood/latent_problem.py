@@ -108,8 +108,11 @@ class LatentProblem(MeasuredRuns):
         taken = x.u if torque is None else x.u - torque.T
         qdd, inverse = c.fast.forward_dynamics(x.q, x.v, taken, beta)
         sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scales[:, None, None])[0]
-        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *gauss_times)
-        samples = Points(x.q.T, x.v.T, qdd, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), *samples_times)
+        told = self.commands or (None, None)
+        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *gauss_times,
+                       commanded=told[1])
+        samples = Points(x.q.T, x.v.T, qdd, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), *samples_times,
+                         commanded=told[0])
         starts = np.concatenate([[0], self.ends[:-1]])
         view = View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), starts, self.dt, self.stage.angle_range,
                     self.stage.gear_ratio)

@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import Record
+from estimator.effects import Commanded, Record
 from estimator.likelihood import correlated_torque
+from estimator.likelihood.command_record import commands_at
 from estimator.likelihood.noise import Noise
 from estimator.model import Collocation, Mechanism, ticks_of
 from estimator.signals import (
@@ -130,6 +131,17 @@ class MeasuredRuns:
         if self.has_imu:
             levels += [*noise.gyro, *noise.accel.ravel()]
         return self.total * float(np.sum(np.log(levels)))
+
+    @cached_property
+    def commands(self) -> tuple[Commanded, Commanded] | None:
+        """Commands of position loops at the samples and at the Gauss points; None where not all runs have any."""
+        return commands_at(self.signals, self.left, self.dt)
+
+    @property
+    def closed(self) -> bool:
+        """Whether every driven joint has a position loop, so that its commands alone make the motion."""
+        driven = list(self.mechanism.actuated)
+        return self.commands is not None and bool(driven) and bool(self.commands[0].follows[driven].all())
 
     @cached_property
     def shown(self) -> Noise:

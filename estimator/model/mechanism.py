@@ -79,6 +79,8 @@ class Mechanism:
     2 does. Empty where nothing does."""
     link_lengths: tuple[float, ...] = ()
     """Joint to joint [m], of the first links: as many as IMUs ride on."""
+    followers: tuple[int, ...] = ()
+    """Driven joints, 0-based, whose torque is not measured: a position loop makes it of a command."""
 
     @property
     def n(self) -> int:

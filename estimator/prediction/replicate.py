@@ -14,16 +14,22 @@ import numpy as np
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.likelihood import FreeRun, LatentProblem, Noise, Process, State, draw_stiction, free_run
-from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, quantum, torque_of
+from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, input_by_law, quantum, torque_of
 
 
 def simulate_run(problem: LatentProblem, state: State, rng: np.random.Generator,
                  disturbance: FloatArray | None = None) -> FreeRun:
     """Motion of the model under the torque in `state`; always the same where no joint is passive.
 
-    `disturbance` (N, n) acts on passive joints. Raises `FitError` where its simulation does not stay with the run.
+    `disturbance` (N, n) acts on passive joints. Joints that follow commands move as their loops make them, so both it
+    and the noise of the torque act on them. Raises `FitError` where its simulation does not stay with the run.
     """
     drive = problem.motor_torque(state.x, state.beta)
+    if problem.closed:
+        drive = problem.torque.copy()
+        for j in problem.mechanism.actuated:
+            drive[:, j] += state.noise.torque[j] * rng.normal(size=problem.total)
+            drive[:, j] += 0.0 if disturbance is None else disturbance[:, j]
     for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
         drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
         drive[:, j] += 0.0 if disturbance is None else disturbance[:, j]
@@ -59,6 +65,9 @@ def draw_replicate(problem: LatentProblem, state: State, signals: Sequence[Signa
         if noise.torque_correlation is not None:
             draws = draws @ np.linalg.cholesky(noise.torque_correlation).T
         for j in problem.mechanism.actuated:
+            if problem.closed and s.commands is not None:  # noise and disturbance have acted on the motion
+                torque[:, j] = input_by_law(s.commands, j, angles[:, j], s.rate_hz)
+                continue
             torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * draws[:, j] - hidden[where, j]
         imu = {}
         for k in range(problem.imu_count):

@@ -12,6 +12,7 @@ from daq import Dataset, FloatArray
 from estimator.errors import FitError, GapError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.signals.commands import Commands, command_columns, commands_of
 from estimator.signals.filters import central_difference, lowpass
 from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
 from estimator.signals.orientation import Kinematics, sight, with_imus
@@ -41,6 +42,8 @@ class SignalSet:
     is the same throughout."""
     exchanged: bool = False
     """Of a walker's step, whether leg 2 stands: `Mechanism.exchanged` joints have changed places."""
+    commands: Commands | None = None
+    """What position loops were told; None where no joint follows a command."""
 
     def low_passed(self, column: str, cutoff_hz: float) -> FloatArray:
         """(n, joints) the "torque", or (n,) a column of an IMU, low-passed: once for all problems of these samples."""
@@ -59,7 +62,8 @@ def cut(signals: SignalSet, where: slice) -> SignalSet:
     """The samples `where` of a segment."""
     return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
                    imu={name: values[where] for name, values in signals.imu.items()},
-                   spread=None if signals.spread is None else signals.spread[where])
+                   spread=None if signals.spread is None else signals.spread[where],
+                   commands=None if signals.commands is None else signals.commands.part(where))
 
 
 def with_earlier_imu(signals: SignalSet, age_s: float) -> SignalSet:
@@ -122,7 +126,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
         imu = [name for k in range(len(mechanism.imus)) for name in imu_columns(k)] if options.sensors == "imu" else []
         angles = [angle_column(mechanism, j) for j in joints]
         torques = [torque_column(mechanism, j) for j in mechanism.actuated]
-        needed = imu + angles + torques
+        needed = imu + angles + torques + [command_columns(j - 1)[0] for j in data.loops]
         for column in needed:
             if column not in data:
                 raise FitError(f"{data.name}: column {column} is missing for the {options.sensors} path")
@@ -136,7 +140,8 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
                 tau[:, j] = data[column][where]
             found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
                                    {name: data[name][where] for name in imu}, _spread(data, where, levels),
-                                   bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2))
+                                   bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2,
+                                   commands_of(data, mechanism.n, where)))
     if not found:
         raise GapError("no segment of 20 samples without a gap in any run")
     if len({s.rate_hz for s in found}) > 1:

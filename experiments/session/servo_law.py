@@ -10,48 +10,44 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import Dataset, FloatArray, Rig, Servo
-from estimator.signals import lowpass
+from daq import Dataset, Rig, Servo
+from estimator.signals import SUPPLY, command_columns, commands_of, input_by_law
 
 
 def needs_law(data: Dataset, rig: Rig) -> bool:
     """Whether the rig declares a servo whose input the run does not have."""
-    return rig.servo is not None and bool(_joints(data, rig))
+    return rig.servo is not None and any(
+        j in data.by_law or _input(rig, j) not in data for j in _joints(data, rig))
 
 
 def with_law(data: Dataset, rig: Rig, servo: Servo) -> Dataset:
-    """`data` with the input by the law of `servo` of every driven joint that has a command and no input."""
-    driven = sorted(rig.mechanism.actuated)
-    columns = dict(data.columns)
-    for j in _joints(data, rig):
-        gain, damping, limit = (_of(value, driven.index(j)) for value in (servo.gain, servo.damping, servo.limit))
-        q = data[f"q{j}_rad"]
-        law = (1.0 if gain is None else gain) * (data[f"q{j}_cmd_rad"] - q)
-        if damping:
-            law = law - damping * _rate(data, f"q{j}_rad", rig)
-        most = 1.0 if limit is None and rig.mechanism.input == "voltage" else limit
-        columns[_input(rig, j)] = law if most is None or gain is None else np.clip(law, -most, most)
-    return replace(data, columns=columns)
+    """`data` with the position loop of every driven joint that has a command, and with the input that the loop gives
+    where none was measured."""
+    driven, joints = sorted(rig.mechanism.actuated), _joints(data, rig)
+    loops = {j: servo.loop(driven.index(j), rig.mechanism.input == "voltage") for j in joints}
+    found, columns = replace(data, loops=loops), dict(data.columns)
+    made = tuple(j for j in joints if j in data.by_law or _input(rig, j) not in data)
+    for j in made:
+        angle, out = data[f"q{j}_rad"], np.full(len(data), np.nan)
+        needed = [f"q{j}_rad", *(name for name in (*command_columns(j - 1), *SUPPLY[:1]) if name in data)]
+        for where in data.segments(needed):
+            commands = commands_of(found, j, where)
+            if commands is not None:
+                out[where] = input_by_law(commands, j - 1, angle[where], data.rate_hz, rig.filter.cutoff_hz,
+                                          rig.filter.order)
+        columns[_made(rig, j)] = out
+    return replace(found, columns=columns, by_law=made)
 
 
 def _joints(data: Dataset, rig: Rig) -> list[int]:
-    return [j for j in rig.mechanism.actuated
-            if _input(rig, j) not in data and f"q{j}_cmd_rad" in data and f"q{j}_rad" in data]
+    return [j for j in rig.mechanism.actuated if f"q{j}_cmd_rad" in data and f"q{j}_rad" in data]
 
 
 def _input(rig: Rig, joint: int) -> str:
+    """Column that shows a joint's input, where one was measured."""
     return "duty" if rig.mechanism.input == "voltage" else f"tau{joint}_nm"
 
 
-def _of(value: float | tuple[float, ...] | None, at: int) -> float | None:
-    return value[at] if isinstance(value, tuple) else value
-
-
-def _rate(data: Dataset, column: str, rig: Rig) -> FloatArray:
-    """(N,) slow rate [rad/s] of an angle, NaN in its gaps: what a servo differences is noise beyond."""
-    cutoff = rig.filter.cutoff_hz or min(10.0, 0.1 * data.rate_hz)
-    out = np.full(len(data), np.nan)
-    for where in data.segments([column]):
-        slow = lowpass(data[column][where], cutoff, data.rate_hz, rig.filter.order)
-        out[where] = np.gradient(slow, 1.0 / data.rate_hz)
-    return out
+def _made(rig: Rig, joint: int) -> str:
+    """Column of the input that a law makes."""
+    return f"voltage{joint}_v" if rig.mechanism.input == "voltage" else f"tau{joint}_nm"

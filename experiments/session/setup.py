@@ -18,6 +18,8 @@ from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
 from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
+SMOOTH = "smooth"
+"""Hold of a torque that a loop makes of command and angle, which is known between samples, too."""
 FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
 
 
@@ -54,6 +56,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
     if free_swing:
         settings = structs.replace(settings, actuated=())
         mechanism = build_mechanism(settings)
+    followers = set.intersection(*(set(d.by_law) for d in datasets)) if datasets else set()
+    mechanism = replace(mechanism, followers=tuple(sorted(j - 1 for j in followers if j - 1 in mechanism.actuated)))
     for name in fixed or {}:
         if name not in mechanism.names:
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
@@ -64,6 +68,9 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("the rig file", f"[prior] {name} is nothing that {settings.model} has",
                              f"it has {', '.join(mechanism.names)}{bodies}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
+    if rig.servo is not None and mechanism.followers:
+        options = replace(options, unknown_delay=rig.servo.delay_s is None,
+                          hold=SMOOTH if options.hold == "auto" else options.hold)
     if options.hold == "auto" and rig.timing.control_period_s is not None and datasets:
         options = replace(options, hold=hold_of(1.0 / (datasets[0].rate_hz * rig.timing.control_period_s)))
     if rig.distance_meter is not None and (rig.distance_meter.sigma_m or rig.distance_meter.sigma_per_m):

@@ -264,6 +264,20 @@ def _load(code: Code, effect: EffectValue, at: list[int]) -> None:
     code.level.setdefault(j, []).append(f"load{j + 1}(u{j + 1}, s{j + 1})")
 
 
+def _load_more(code: Code, effect: EffectValue, at: list[int]) -> None:
+    j, shape = at[0], effect.shapes
+    joint, size = code.parts.joints[j], effect.sizes["load_coefficient"]
+    load = f"math.hypot(u{j + 1} * s{j + 1} - {joint.coulomb + sum(b for b, *_ in joint.bristles)!r}, 1e-3)"
+    if effect.name == "quadratic_load_friction":
+        code.say(effect.name, j, "dry friction grows by k times the square of the transmitted torque")
+        code.level.setdefault(j, []).append(f"{code.constant(f'LOAD_SQUARED{j + 1}', size, '1/(N m)')} * {load} ** 2")
+        return
+    code.say(effect.name, j, "dry friction by load is higher by mu exp(-|v / v_s|^n) near standstill")
+    code.level.setdefault(j, []).append(
+        f"{code.constant(f'LOAD_AT_REST{j + 1}', size, '1')} * {load} "
+        f"* math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
+
+
 def _drift(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, size = at[0], effect.sizes
     code.say(effect.name, j, "dry friction changes over the session and within each run")
@@ -324,4 +338,4 @@ LAWS = {"torque_saturation": _saturation, "stribeck_friction": _stribeck, "load_
         "friction_drift": _drift, "asymmetric_friction": _asymmetric, "quadratic_drag": _drag,
         "joint_elasticity": _gear, "backlash": _gear, "encoder_offset": _encoder, "encoder_eccentricity": _encoder,
         "gyro_bias": _imu_error, "gyro_scale": _imu_error, "accelerometer_bias": _imu_error, "torque_delay": _late,
-        "sensor_time_skew": _early}
+        "sensor_time_skew": _early, "load_stribeck_friction": _load_more, "quadratic_load_friction": _load_more}

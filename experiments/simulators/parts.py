@@ -102,6 +102,9 @@ def parts_of(model: Model, where: str) -> Parts:
     parts = Parts(model, mechanism, bodies, joints)
     driven = mechanism.actuated
     for effect in model.effects:
+        if effect.name in OF_LOOP:
+            parts.notes.append(f"{effect.name} is of the position loop: the export takes the torque that acts")
+            continue
         hold = HELD.get(effect.name)
         if hold is None and effect.name not in LEFT:
             raise InputError(where, f"has the effect {effect.name}, whose law is in a package of yours: no export "
@@ -241,7 +244,10 @@ HELD: dict[str, Hold] = {
     "asymmetric_friction": _asymmetric, "end_stop_contact": _stop, "torque_ripple": _ripple,
     "presliding_friction": _bristles, "base_compliance": _stand, "imu_lever_arm": _lever, "imu_misalignment": _turn,
     "encoder_scale": _scale, "stribeck_friction": _levels, "friction_drift": _levels,
-    "load_dependent_friction": _levels}
+    "load_dependent_friction": _levels, "load_stribeck_friction": _levels, "quadratic_load_friction": _levels}
 """Effect to what makes parts of it; that returns whether nothing is left of it."""
 LEFT = ("torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias", "encoder_offset", "encoder_eccentricity")
 """Effects of which no part holds anything."""
+OF_LOOP = ("command_delay", "gain_scale", "missing_integral", "input_limit", "supply_sag", "command_dead_band",
+           "command_steps")
+"""Effects of what makes the torque, which an export is given."""

@@ -32,6 +32,7 @@ from .fit_each import refit_all as refit_all
 from .fit_each import refits_document as refits_document
 from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
+from .follow import follow_commands as follow_commands
 from .in_mujoco import compared_text as compared_text
 from .in_mujoco import reduction_errors as reduction_errors
 from .in_mujoco import starts_of as starts_of

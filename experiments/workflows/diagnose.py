@@ -11,7 +11,8 @@ from daq import Dataset, InputError, Rig
 from daq.runs import IMU
 from estimator import FitError
 from estimator.calibration import differing_text, find_differing
-from estimator.diagnosis import MATERIAL, Diagnosis, diagnose
+from estimator.diagnosis import MATERIAL, Diagnosis, diagnose, with_law
+from estimator.loops import corrected_readings, law_checks, volts_of
 from estimator.signals import angle_column
 from experiments.models import Model, known_effects, values_of
 from experiments.session import Prepared, Setup, require_one_rig, require_sound
@@ -46,8 +47,12 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
     except FitError as error:
         return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=notes, material=material)
     options = replace(setup.options, tolerances=setup.tolerances)
-    found = diagnose(setup.datasets, setup.mechanism, options, gear_ratio=rig.motor.gear_ratio, seed=seed,
+    datasets, checks = setup.datasets, law_checks(setup.datasets, setup.mechanism)
+    for check in checks:
+        datasets = corrected_readings(datasets, setup.mechanism, check.joint, check.after.faults)
+    found = diagnose(datasets, setup.mechanism, options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
+    found = with_law(found, checks, setup.mechanism, volts_of(datasets))
     if reference is not None and found.verdict == "fit_failed":
         found = replace(found, sentence=f"{found.sentence} The reference was not compared: that needs a fit of these "
                         "runs. legid validate says how well the reference predicts them.")

@@ -31,6 +31,7 @@ from experiments.session import (
     suspect,
     with_choices,
 )
+from experiments.workflows.command_delay import find_late_commands
 from experiments.workflows.servo_gain import scaled
 
 NOISY = 0.2
@@ -86,9 +87,14 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
     datasets = as_datasets(runs, rig, damaged)
     gainless = rig.servo is not None and rig.servo.gain is None and any(needs_law(data, rig) for data in datasets)
     name, value = _gain_teller(rig, fixed) if gainless else ("", 0.0)
-    prepared = prepare(datasets, _in_units_of_gain(rig) if gainless else rig, sensors=sensors,
-                       fixed=None if gainless else fixed, latent=latent, choose=choose)
-    setup, choices = prepared.setup, prepared.choices
+    used = _in_units_of_gain(rig) if gainless else rig
+    late = find_late_commands(datasets, used, sensors) if choose and method == "mle" else None
+    given = () if late is None else (late,)
+    prepared = prepare(datasets, with_choices(used, given), sensors=sensors, fixed=None if gainless else fixed,
+                       latent=latent, choose=choose)
+    setup, choices = prepared.setup, (*given, *prepared.choices)
+    if late is not None:
+        setup = replace(setup, options=replace(setup.options, unknown_delay=True))
     if gainless and name not in setup.mechanism.names:
         raise InputError("--fix", f"{rig.mechanism.model} has no parameter {name}",
                          f"it has {', '.join(setup.mechanism.names)}")

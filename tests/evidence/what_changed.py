@@ -24,7 +24,7 @@ from experiments.models import Model
 from experiments.session import as_datasets
 from experiments.studies import machine
 from experiments.workflows import find_change
-from tests.evidence.blind.records import FAULTS, RECORDS, RIGS, UNTOUCHED
+from tests.evidence.blind.records import COMMANDS, FAULTS, RECORDS, RIGS, UNTOUCHED
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
@@ -73,7 +73,8 @@ def runs_of(record: str) -> tuple[Dataset, ...]:
     """All runs of a record."""
     known = RECORDS[record]
     paths = [REAL / known.folder / f"{name}.csv.gz" for name in known.runs]
-    return tuple(as_datasets(paths, load_rig(RIGS / known.rig), False))
+    read = as_datasets(paths, load_rig(RIGS / known.rig), False)
+    return tuple(replace(data, columns={COMMANDS.get(n, n): v for n, v in data.columns.items()}) for data in read)
 
 
 @cache

@@ -17,7 +17,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "and, for a leg with an IMU, what the IMU would read.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
     parser.add_argument("--plan", required=True,
-                        help="torque plan: CSV with time_s,tau2_cmd_nm; or a run, for its measured torque")
+                        help="torque plan: CSV with time_s,tau2_cmd_nm; or a run, for its measured torque; with --rig "
+                             "the commands q2_cmd_rad")
+    parser.add_argument("--rig", help="rig file whose [servo] follows the plan's commands")
     add_output(parser, "--out", "run", "RUN.csv", required=True,
                help="the run to write (.csv or .csv.gz); a run that is there is never overwritten")
     add_force(parser)
@@ -50,15 +52,17 @@ def _angles(text: str) -> list[float]:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate and write the run."""
+    from daq import load_rig
     from daq.runs import write_csv
     from experiments.console import busy, warn
     from experiments.models import load_model, range_note_of
-    from experiments.workflows import plan_for, simulate_run
+    from experiments.workflows import follow_commands, plan_for, simulate_run
 
     model = load_model(args.model)
-    plan = plan_for(args.plan, model)
+    plan = None if args.rig else plan_for(args.plan, model)
     with busy("simulating"):
-        data = simulate_run(model, plan, args.model, args.rate, args.start, args.noise_seed)
+        data = (follow_commands(model, args.plan, load_rig(args.rig), args.model, args.start) if plan is None else
+                simulate_run(model, plan, args.model, args.rate, args.start, args.noise_seed))
     rows = write_csv(data, args.out)
     note = range_note_of(model, data)
     if note:

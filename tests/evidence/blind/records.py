@@ -21,6 +21,8 @@ from tests.support.paths import REAL, ROOT
 
 RIGS = ROOT / "experiments/studies/rigs"
 UNTOUCHED = "untouched"
+COMMANDS = {"goal_rad": "q1_cmd_rad"}
+"""Column of a record to that of the contract."""
 Readings = dict[str, np.ndarray]
 
 
@@ -115,7 +117,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     tables = [np.genfromtxt(REAL / record.folder / f"{run}.csv.gz", delimiter=",", names=True) for run in record.runs]
-    runs = [{n: np.array(table[n]) for n in table.dtype.names or ()} for table in tables]
+    runs = [{COMMANDS.get(n, n): np.array(table[n]) for n in table.dtype.names or ()} for table in tables]
     if fault != UNTOUCHED:
         FAULTS[fault].put_in(runs, record, size)
     for k, columns in enumerate(runs, 1):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import legid
 from daq import Dataset, InputError
 from daq.rig import parse_rig
 from daq.runs.csv_run import write_csv
@@ -17,7 +18,7 @@ from experiments.cli import main
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from tests.support.mujoco_leg import Leg, random_leg
-from tests.support.servo_leg import follow
+from tests.support.servo_leg import ServoFaults, follow
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
 RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
@@ -69,6 +70,29 @@ def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg
     assert values(same) == pytest.approx(values(told) * GAIN / told["servo_gain"]["value"], rel=1e-3)
 
 
+@pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\ndamping = {DAMPING}\n", False), ("", True)])
+def test_a_delay_that_nobody_states_is_found_and_taken_off(tmp_path: Path, leg: Leg, servo: str, fix: bool) -> None:
+    rng = np.random.default_rng(55)
+    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, faults=ServoFaults(delay_s=0.012), name=f"late{k}")
+            for k in range(3)]
+    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    (chosen,) = (c for c in told["chosen"] if c["key"] == "delay_s")
+    assert chosen["table"] == "servo" and chosen["value"] == pytest.approx(0.0122, abs=5e-4)
+    assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.01)
+    assert any("act 12" in text or "act 11.9" in text for text in told["assumptions"])
+
+
+@pytest.mark.slow
+def test_a_diagnosis_under_the_command_names_a_late_command(leg: Leg) -> None:
+    runs = [follow(leg, np.random.default_rng([56, k]), gain=GAIN, damping=DAMPING, seconds=8.0,
+                   high=(2.2, 1.0, 1.6)[k % 3], faults=ServoFaults(delay_s=0.02), name=f"r{k}") for k in range(6)]
+    rig = parse_rig(f"{RIG}gain = {GAIN}\ndamping = {DAMPING}\n")
+    found = legid.diagnose(runs, rig, workers=1)
+    (cause,) = found.causes
+    assert (found.verdict, cause.effect, cause.joint) == ("named", "command_delay", 2)
+    assert cause.size[0].value == pytest.approx(0.02, rel=0.1)
+
+
 def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]) -> None:
     run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
     (tmp_path / "rig.toml").write_text(RIG)
@@ -79,7 +103,7 @@ def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.Captu
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):
         load_runs([tmp_path / "bare.csv"], parse_rig(RIG))
-    for servo, what in (("damping = 0.1\n", "say nothing without a gain"),
+    for servo, what in (("damping = 0.1\n", "says nothing without servo.gain"),
                         ("gain = [1.0, 2.0]\n", r"servo\.gain has 2 numbers"), ("gain = -1.0\n", "gain")):
         with pytest.raises(InputError, match=what):
             parse_rig(RIG + servo)

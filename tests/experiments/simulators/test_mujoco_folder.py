@@ -17,7 +17,7 @@ from experiments.models import load_model, save_model
 from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
 from experiments.simulators import ExportedLeg, simulator_files
 from experiments.simulators.mujoco_runs import require_mujoco
-from experiments.simulators.parts import HELD, LEFT
+from experiments.simulators.parts import HELD, LEFT, OF_LOOP
 from tests.support.exported_models import (
     EFFECTS,
     OPPOSITE,
@@ -37,7 +37,8 @@ def test_every_effect_of_the_library_is_held_or_left() -> None:
     from estimator.effects.registry import library_classes
 
     names = {kind.name for kind in library_classes()}
-    assert names == set(EFFECTS) == set(HELD) | set(LEFT)
+    assert names - set(OF_LOOP) == set(EFFECTS) == set(HELD) | set(LEFT)
+    assert set(OF_LOOP) == {kind.name for kind in library_classes() if kind.per_loop}
 
 
 @pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), *PAIRS], ids="+".join)

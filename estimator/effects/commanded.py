@@ -1,0 +1,98 @@
+"""`Commanded`: what the position loops of all joints are told at a set of instants, and the input that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray, Loop
+
+
+@dataclass(frozen=True)
+class Told:
+    """Commands of all joints at all samples of the record."""
+
+    angle: FloatArray
+    """(n, N) [rad]"""
+    rate: FloatArray
+    """(n, N) [rad/s]"""
+    first: NDArray[np.intp]
+    """(N,) first sample of each sample's segment"""
+    dt_s: float
+
+    def at(self, place: FloatArray, late_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Commanded angle and rate (n, ...) at the places (...) in samples, each joint `late_s` (n, ...) before, linear
+        between samples; the first of a segment before it."""
+        whole = np.minimum(np.floor(place + 1e-9).astype(np.intp), len(self.first) - 1)
+        begin = self.first[whole].astype(np.float64)
+        at = np.maximum(place - np.nan_to_num(late_s) / self.dt_s, begin)
+        k = np.minimum(np.floor(at).astype(np.intp), np.broadcast_to(whole, at.shape))
+        share = np.clip(at - k, 0.0, 1.0)
+        joints = np.arange(len(self.angle)).reshape(-1, *(1,) * (place.ndim))
+        after = np.minimum(k + 1, len(self.first) - 1)
+        after = np.where(self.first[after] == self.first[k], after, k)  # not into the next segment
+        angle, rate = ((1.0 - share) * x[joints, k] + share * x[joints, after] for x in (self.angle, self.rate))
+        return angle, rate
+
+
+@dataclass(frozen=True)
+class Commanded:
+    """Arrays (n, ...), NaN at a joint without a loop."""
+
+    loop: Loop
+    supply: FloatArray
+    """[V]"""
+    summed: FloatArray
+    """Integral of command less angle as recorded [rad s]"""
+    place: FloatArray
+    """(...) in samples of the record"""
+    told: Told
+    heard: tuple[FloatArray, FloatArray]
+    """Commanded angle and rate (n, ...) as the loops have them, late as stated"""
+
+    @classmethod
+    def of(cls, loop: Loop, supply: FloatArray, summed: FloatArray, place: FloatArray, told: Told) -> Self:
+        """The commands with what the loops hear."""
+        late = 0.5 * np.asarray(loop.period_s) + loop.delay_s
+        return cls(loop, supply, summed, place, told, told.at(place, late))
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """(n,) joints that have a loop."""
+        gain = np.asarray(self.loop.gain)
+        return np.asarray(np.isfinite(gain).reshape(len(gain), -1).any(axis=1))
+
+    def cut(self, index: Any) -> Self:
+        """The instants `index`, as an index of arrays (n, ...)."""
+        angle, rate = self.heard
+        return replace(self, loop=self.loop.at(index), supply=self.supply[index], summed=self.summed[index],
+                       place=self.place[index], heard=(angle[index], rate[index]))
+
+    def of_joint(self, joint: int) -> Self:
+        """The commands of one joint, arrays (1, ...)."""
+        own, (angle, rate) = slice(joint, joint + 1), self.heard
+        told = replace(self.told, angle=self.told.angle[own], rate=self.told.rate[own])
+        return replace(self, loop=self.loop.at(own), supply=self.supply[own], summed=self.summed[own], told=told,
+                       heard=(angle[own], rate[own]))
+
+    def error(self, q: FloatArray, v: FloatArray, a: FloatArray, late_s: float = 0.0
+              ) -> tuple[FloatArray, FloatArray]:
+        """(n, ...) errors of angle and rate that the loops see at a motion (n, ...), their commands `late_s` later than
+        stated.
+
+        A loop that holds for a period T sees the motion T / 2 before, q - v T/2 + a T^2/8, to which order its torque is
+        that of the ticks on average.
+        """
+        held = 0.5 * np.asarray(self.loop.period_s)
+        angle, rate = self.heard
+        if late_s:
+            angle, rate = self.told.at(self.place, held + self.loop.delay_s + late_s)
+        return angle - (q - held * v + 0.5 * held**2 * a), self.loop.feedforward * rate - (v - held * a)
+
+    def input(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """(n, ...) input [N m] that the loops make at a motion (n, ...); zero at a joint without one."""
+        found = self.loop.acting(self.loop.wanted(*self.error(q, v, a), self.summed), v, self.supply)
+        return np.nan_to_num(found)

@@ -1,0 +1,32 @@
+"""`GainScale`: gains that differ from those stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from daq import FloatArray
+from estimator.effects.base import Size, View
+from estimator.effects.commanded import Commanded
+from estimator.effects.loop_effect import LoopEffect, made
+
+
+class GainScale(LoopEffect):
+    """All gains of the loop are (1 + s) times those stated, its limits are not.
+
+    Below the limits it is the scale of the torque, `torque_gain`: all parameters scale alike. One that is given
+    (`--fix`), or a limit that is reached, shows it.
+    """
+
+    name = "gain_scale"
+    sizes = (Size("scale_error", "1", 0.01),)
+    sentence = "the loop's gains are not the ones stated (a vendor's unit or a hidden factor)"
+    reference = "Dynamixel e-manual: register over 128; vendors' firmware scales gains"
+    experiment = "give one parameter with --fix, or hold a known weight still and read the error of the command"
+    by_hand = "hang a known weight on the joint and read the error of the command at rest"
+    plans = ("rest",)
+
+    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
+               ) -> FloatArray:
+        loop, more = told.loop, 1.0 + float(size[0])
+        own = replace(loop, gain=more * loop.gain, damping=more * loop.damping, integral=more * loop.integral)
+        return made(replace(told, loop=own), *told.error(*motion), motion[1])

@@ -1,0 +1,86 @@
+"""Free runs under a command: the loop makes the torque of the simulated motion, MuJoCo being the plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq import Dataset
+from estimator.effects import Told
+from estimator.free_runs import FittedModel
+from estimator.likelihood import FreeRun, free_run
+from estimator.model import leg2
+from estimator.options import FitOptions
+from estimator.prediction import SmoothedRun, smooth, white_noise
+from estimator.prediction.floor import floor_errors
+from tests.support.mujoco_leg import Leg
+from tests.support.servo_leg import COUNTS, ServoFaults, follow, with_torque
+
+LEG = Leg(viscous=(0.02, 0.03), coulomb=(0.01, 0.02))
+QUANTUM = 2.0 * np.pi / COUNTS
+MODEL = FittedModel(replace(leg2(), followers=(1,), velocity_scale=0.02), "smooth", LEG.beta())
+LOOPS = {"stiff": "gain = 20.0\ndamping = 0.3\n", "limited": "gain = 8.0\ndamping = 0.1\nlimit = 0.6\n",
+         "slow": "gain = 5.0\ndamping = 0.15\nrate_hz = 50.0\n", "late": "gain = 6.0\ndamping = 0.1\ndelay_s = 0.02\n",
+         "integrating": "gain = 5.0\ndamping = 0.15\nintegral = 3.0\n"}
+
+
+def recorded(loop: str, seed: int = 3) -> Dataset:
+    """6 s of the leg behind one of LOOPS."""
+    stated = dict(line.split(" = ") for line in LOOPS[loop].splitlines())
+    said = {name: float(value) for name, value in stated.items()}
+    return with_torque(follow(
+        LEG, np.random.default_rng(seed), gain=said["gain"], damping=said["damping"], limit=said.get("limit", np.inf),
+        loop_hz=said.get("rate_hz", 1000.0), seconds=6.0, amplitude=0.8,
+        faults=ServoFaults(delay_s=said.get("delay_s", 0.0), integral=said.get("integral", 0.0))), LOOPS[loop])
+
+
+def ran(one: SmoothedRun, horizon_s: float = np.inf) -> FreeRun:
+    found = free_run(one.problem, one.state, one.drive, horizon_s)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_free_run_follows_the_command_as_the_leg_did(loop: str) -> None:
+    data = recorded(loop)
+    one = smooth(MODEL, data, FitOptions(sensors="encoder"))
+    assert one.problem.closed
+    for horizon_s in (np.inf, 1.0):
+        run = ran(one, horizon_s)
+        error = np.sqrt(np.mean((run.q - one.problem.angles) ** 2, axis=0))
+        assert (error < 3.0 * QUANTUM).all(), error / QUANTUM
+
+
+def test_a_wrong_parameter_is_what_the_command_makes_of_it_not_what_the_torque_does() -> None:
+    """With a heavier lower link the knee still follows its command; under the recorded torque it does not."""
+    data = recorded("stiff")
+    wrong = LEG.beta()
+    wrong[4] *= 1.3  # gravity of the lower link
+    one = smooth(replace(MODEL, parameters=wrong), data, FitOptions(sensors="encoder"))
+    closed = ran(one)
+    bare = smooth(replace(MODEL, parameters=wrong), replace(data, loops={}, by_law=()), FitOptions(sensors="encoder"))
+    assert not bare.problem.closed
+    opened = ran(bare)
+    errors = [np.sqrt(np.mean((run.q[:, 1] - one.problem.angles[:, 1]) ** 2)) for run in (closed, opened)]
+    assert errors[0] < 0.2 * errors[1]
+
+
+def test_noise_leaves_in_replicates_what_it_leaves_in_records() -> None:
+    """The floor of a leg whose model is right is about the error of its free runs."""
+    one = smooth(MODEL, recorded("stiff"), FitOptions(sensors="encoder"))
+    error = np.sqrt(np.mean((ran(one).q - one.problem.angles) ** 2, axis=0))
+    floor = floor_errors(one, np.random.default_rng(5), [np.inf], lambda signals: MODEL.problem(signals),
+                         white_noise(one.state.noise))
+    left = np.sqrt(np.mean(floor[0, :2] ** 2, axis=1))
+    assert (error < 2.0 * left).all() and (error > 0.5 * left).all(), (error, left)
+
+
+def test_commands_are_linear_between_samples_and_stay_within_their_segment() -> None:
+    angle = np.array([[0.0, 1.0, 3.0, 10.0, 12.0]])
+    told = Told(angle, 2.0 * angle, np.array([0, 0, 0, 3, 3]), 0.1)
+    place = np.array([0.0, 1.5, 2.0, 3.0, 3.5, 4.0])
+    assert told.at(place, np.zeros((1, 1)))[0][0] == pytest.approx([0.0, 2.0, 3.0, 10.0, 11.0, 12.0])
+    late, rate = told.at(place, np.full((1, 1), 0.1))
+    assert late[0] == pytest.approx([0.0, 0.5, 1.0, 10.0, 10.0, 10.0]) and rate == pytest.approx(2.0 * late)
