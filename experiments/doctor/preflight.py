@@ -39,7 +39,7 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
     With `clear_faults` the controller is first told to forget what it latched; a cause that is still there stays. An
     empty `rig_text` says that `rig` is a guess, which nothing need agree with.
     """
-    from experiments.doctor import bus, link, polled, signals
+    from experiments.doctor import bus, link, polled, signals, unknown
     from experiments.rig import devices
 
     checks = []
@@ -79,7 +79,8 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
                 checks += polled.judge(heard, rig, sensors)
             except (DriverError, InputError) as error:
                 checks.append(Check("signals", "FAIL", str(error)))
-    return [*checks, *check_disk(folder)]
+    told = [unknown.largest_unknown(rig)] if rig_text else []
+    return [*checks, *told, *check_disk(folder)]
 
 
 def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: Drive | None, seconds: float,
