@@ -45,7 +45,7 @@ def examine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ohm: float = 0.01, 
 
 def test_a_rig_with_nothing_else_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checks = examine(tmp_path, monkeypatch)
-    assert set(checks) == {"pivot sensor", "pivot magnet", "second shunt", "second shunt zero"}
+    assert set(checks) == {"pivot sensor", "pivot magnet", "second shunt", "second shunt zero", "tolerances"}
     assert all(check.status in ("ok", "warn") for check in checks.values()), checks
     assert checks["pivot magnet"].status == checks["second shunt zero"].status == "ok"
     assert "gain 64, best is 128 at 5 V" in checks["pivot magnet"].words
