@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from daq import FloatArray
@@ -9,7 +11,7 @@ from estimator.effects.base import Shape, Size, View
 from estimator.effects.commanded import Commanded
 from estimator.effects.loop_effect import LoopEffect, made
 
-GRIDS = (2.0 * np.pi / 4096.0, 2.0 * np.pi / 1024.0, np.radians(0.29), np.radians(1.0), np.radians(2.0))
+GRIDS = tuple(math.radians(step) for step in (360.0 / 4096.0, 360.0 / 1024.0, 0.29, 1.0, 2.0))
 """Steps of a command [rad]: 12 and 10 bits a turn, 0.29 degrees of the AX series, whole degrees and pairs of them."""
 
 

@@ -24,7 +24,7 @@ class LoadStribeckFriction(TorqueEffect):
     tolerance_source = "gears with an efficiency of 98 to 99 % that start at 97 to 98 %"
     experiment = "slow reversals with a payload, and fast ones with the same"
     depends_on = "v"
-    plans = ("slow", "steady", "ramps")
+    plans = ("steady", "ramps")
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0

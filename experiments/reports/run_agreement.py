@@ -23,7 +23,9 @@ def disputed(result: FitResult) -> list[int]:
     found = result.agreement
     if found is None or not found.disagree:
         return []
-    told = found.seen & (result.widening > WIDE)
+    told = result.widening > WIDE
+    if found.seen.size:  # none of what an older model file tells
+        told = told & found.seen
     return [int(k) for k in np.flatnonzero(told) if result.mechanism.names[k] not in result.open_parameters]
 
 
