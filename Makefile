@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation timing lab-chain trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation timing trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -171,10 +171,6 @@ watch: $(STAMP)
 # Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
 separate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),20) --out docs/evidence/separate.md
-
-# Legs with all small faults of a lab's sensors at once: twenty minutes.
-lab-chain: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence lab_chain --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6500) --out docs/evidence/lab-chain.md
 
 # Legs whose controller, log and drive keep times of their own: an hour.
 timing: $(STAMP)
