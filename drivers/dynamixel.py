@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 from fastcrc import crc16
 
+from drivers.packet_stream import THROWN, PacketStream, Thrown
+
 HEADER = b"\xff\xff\xfd\x00"
 TRIGGER, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 BROADCAST = 0xFE
@@ -145,28 +147,14 @@ def silent_write(ident: int, address: int, data: bytes) -> bytes:
     return packet(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HHB", address, len(data), ident) + data)
 
 
-class Decoder:
+class Decoder(PacketStream[Packet]):
     """Bytes to packets, from anywhere in a stream; counts what it threw away."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.bad_crc = self.bad_length = 0
-        self._buffer = b""
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Packets completed by `data`, in order."""
-        self._buffer += data
-        found = []
-        while (one := self._next()) is not None:
-            if one:
-                found.append(one)
-        return found
-
-    def clear(self) -> None:
-        """Forget a packet that was begun."""
-        self._buffer = b""
-
-    def _next(self) -> Packet | tuple[()] | None:
-        """The next packet, () for one that was thrown away, None where more bytes are needed."""
+    def _next(self) -> Packet | Thrown | None:
         start = self._buffer.find(HEADER)
         if start < 0:
             self._buffer = self._buffer[-len(HEADER) + 1:]
@@ -178,24 +166,24 @@ class Decoder:
         if not 3 <= length <= LONGEST:
             self.bad_length += 1
             self._buffer = self._buffer[1:]
-            return ()
+            return THROWN
         end = 7 + length
         if len(self._buffer) < end:
             if HEADER in self._buffer[4:]:  # stuffing lets no header into a packet: this one broke off
                 self.bad_length += 1
                 self._buffer = self._buffer[1:]
-                return ()
+                return THROWN
             return None
         whole = self._buffer[:end]
         if crc(whole[:-2]) != struct.unpack("<H", whole[-2:])[0]:
             self.bad_crc += 1
             self._buffer = self._buffer[1:]
-            return ()
+            return THROWN
         self._buffer = self._buffer[end:]
         body = whole[7:-2].replace(STUFFED, TRIGGER)
         if body[0] != Instruction.STATUS:
             return Packet(ident, body[0], 0, body[1:])
-        return Packet(ident, body[0], body[1], body[2:]) if len(body) > 1 else ()
+        return Packet(ident, body[0], body[1], body[2:]) if len(body) > 1 else THROWN
 
 
 def unsigned(table: bytes, at: int, size: int) -> int:

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
+from drivers.packet_stream import THROWN, PacketStream, Thrown
+
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE
 LONGEST = 96
@@ -129,28 +131,14 @@ def word(table: bytes, at: int) -> int:
     return int.from_bytes(table[at:at + 2], "little")
 
 
-class Decoder:
+class Decoder(PacketStream[Packet]):
     """Bytes to packets, from anywhere in a stream; counts what it threw away."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.bad_checksum = self.bad_length = 0
-        self._buffer = b""
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Packets completed by `data`, in order."""
-        self._buffer += data
-        found = []
-        while (one := self._next()) is not None:
-            if one:
-                found.append(one)
-        return found
-
-    def clear(self) -> None:
-        """Forget a packet that was begun."""
-        self._buffer = b""
-
-    def _next(self) -> Packet | tuple[()] | None:
-        """The next packet, () for one that was thrown away, None where more bytes are needed."""
+    def _next(self) -> Packet | Thrown | None:
         start = self._buffer.find(HEADER)
         if start < 0:
             self._buffer = self._buffer[-1:] if self._buffer.endswith(b"\xff") else b""
@@ -160,12 +148,12 @@ class Decoder:
             return None
         if self._buffer[2] == 0xFF:  # no identifier: the header begins one byte later
             self._buffer = self._buffer[1:]
-            return ()
+            return THROWN
         length = self._buffer[3]
         if not 2 <= length <= LONGEST:
             self.bad_length += 1
             self._buffer = self._buffer[1:]
-            return ()
+            return THROWN
         end = 4 + length
         if len(self._buffer) < end:
             return None
@@ -173,6 +161,6 @@ class Decoder:
         if checksum(whole[2:-1]) != whole[-1]:
             self.bad_checksum += 1
             self._buffer = self._buffer[1:]
-            return ()
+            return THROWN
         self._buffer = self._buffer[end:]
         return Packet(whole[2], whole[4], whole[5:-1])

@@ -1,6 +1,6 @@
 """The law of a position loop, input = gain x (command - angle), and faults of readings that it shows."""
 
-from estimator.loops.corrected_runs import corrected_readings, law_checks, volts_of
+from estimator.loops.corrected_readings import corrected_readings, law_checks, volts_of
 from estimator.loops.law_change import LawChange, changed_law
 from estimator.loops.law_check import LawCause, LawCheck, check_law
 from estimator.loops.law_faults import LAW_FAULTS, LawFault

@@ -99,7 +99,7 @@ def draw(folder: Path, out: Path) -> None:
 def main() -> None:
     """Run, rewrite, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--page", type=Path, action="append", help="the page; its figures go beside it")
+    parser.add_argument("--page", type=Path, action="append", help="the page; its figures go next to it")
     for page in parser.parse_args().page or [PAGE, POSITIONS]:
         text = page.read_text(encoding="utf-8")
         some = blocks(text)
