@@ -322,7 +322,7 @@ def probability_of(decision: Decision, table: ErrorTable, family: Family, first:
     if decision.refused or decision.verdict not in ("none", "named", "partial"):
         return None
     same = np.mean([decision.same_as(decide(table.resampled(d), family, material)) for d in range(len(table.draws))])
-    if decision.verdict == "none" or decision.answer is None:
+    if decision.answer is None or (decision.verdict == "none" and not decision.within):
         return float(same) * share_without_cause(first, family, material)
     return float(same) * share_of_stated(first, decision.answer, family.rivals, material)
 

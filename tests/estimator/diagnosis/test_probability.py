@@ -106,3 +106,10 @@ def test_no_error_is_as_probable_as_it_stays_within_the_noise() -> None:
     assert chance(table(1.05), Family(0), "none") == 1.0
     edge = chance(table(1.5), Family(0), "none")
     assert edge is not None and 0.2 < edge < 0.8
+
+
+def test_no_fault_but_what_tolerances_hold_is_as_probable_as_its_name() -> None:
+    """It reduces the error, as it must: that is no reason against it."""
+    offset = replace(explained(900.0, "offset"), within=frozenset({"offset"}))
+    family = against(offset, explained(600.0, "spring"))
+    assert chance(table(9.0, 1.1, 8.0), family, "none") == pytest.approx(1.0)
