@@ -34,7 +34,10 @@ def _escaped(char: str) -> str:
 
 
 def set_values(text: str, tables: Mapping[str, Mapping[str, object]], where: str = "rig.toml") -> str:
-    """`text` with these keys of these tables set. Raises `InputError` when the file is written in another way."""
+    """`text` with these keys of these tables set; `a.b` is the key b of the table a within them.
+
+    Raises `InputError` when the file is written in another way.
+    """
     new = text
     for table, values in tables.items():
         if values:
@@ -68,7 +71,10 @@ def _check(old: str, new: str, tables: Mapping[str, Mapping[str, object]], where
         raise InputError(where, f"cannot be changed by program ({error})", f"set {keys} by hand") from None
     wanted = msgspec.to_builtins(before)
     for table, values in tables.items():
-        wanted[table] = {**(wanted[table] or {}), **values}
+        wanted[table] = dict(wanted[table] or {})
+        for key, value in values.items():
+            outer, _, inner = key.partition(".")
+            wanted[table][outer] = {**wanted[table].get(outer, {}), inner: value} if inner else value
     if after != msgspec.convert(wanted, Rig):
         raise InputError(where, f"its [{', '.join(tables)}] is written in a way that cannot be changed by program",
                          f"set {keys} by hand")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq import InputError, Rig
+from daq import InputError, Rig, joint_count
 from daq.calibration import (
     FEWEST_STOPS,
     Stop,
@@ -21,10 +21,12 @@ from daq.calibration import (
 from daq.runs import RawRun, mean_interval
 from estimator import TWO_SIDED
 from experiments.calibrate.motor_off import Wanted
-from experiments.calibrate.outcome import Outcome, friction_of, rounded
+from experiments.calibrate.outcome import Outcome, friction_of, left_by_gravity, rounded
 from experiments.models import Model
 
 STOPS = 6
+FEWEST_POSES = 3
+"""Records of a leg held straight from which their scatter shows how well it can be held."""
 
 
 def straight_wishes(records: int) -> list[Wanted]:
@@ -74,7 +76,10 @@ def calibrate_knee(raws: Sequence[RawRun], rig: Rig, straight: bool, model: Mode
         warnings.append("the encoder's reading never changed: the interval lacks its step; give [noise] encoder_rad")
     warnings += [f"{stop.name}: the knee crept by {stop.knee.drift:+.2g} rad; let it come to rest for longer"
                  for stop in stops if stop.knee.drifts and abs(stop.knee.drift) > max(step, 1e-3)]
-    return Outcome("\n".join(lines), {"calibration": {"knee_zero_rad": rounded(zero.value)}}, warnings)
+    posed = not straight or len(stops) >= FEWEST_POSES
+    left = float(np.hypot(zero.half / TWO_SIDED, 0.0 if straight else left_by_gravity(rig)))
+    return Outcome("\n".join(lines), {"calibration": {"knee_zero_rad": rounded(zero.value)}}, warnings,
+                   {f"encoder_offset.{joint_count(rig.mechanism)}": left} if posed else {})
 
 
 def calibrate_shunt(raws: Sequence[RawRun], rig: Rig) -> Outcome:
@@ -97,7 +102,10 @@ def calibrate_shunt(raws: Sequence[RawRun], rig: Rig) -> Outcome:
                 for raw, m in zip(raws, means) if m.drifts]
     if all(m.half == 0.0 for m in means):
         warnings.append("the current reading never changed: is the sensor connected?")
-    return Outcome("\n".join(lines), {"calibration": {"shunt_offset_a": rounded(value)}}, warnings)
+    drift = max((abs(m.drift) for m in means if m.drifts), default=0.0)
+    left = per_a * float(np.hypot(half / TWO_SIDED, drift))
+    return Outcome("\n".join(lines), {"calibration": {"shunt_offset_a": rounded(value)}}, warnings,
+                   {f"torque_offset.{joint_count(rig.mechanism)}": left})
 
 
 def fewest_stops(model: Model | None) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from daq import Calibration, Dataset, FloatArray, InputError, Rig
 from daq.runs import IMU, SUFFIXES, RawRun, read_csv, read_run
 from daq.timing import align, align_table, measure_skew
+from estimator import TWO_SIDED
 from estimator.calibration import ACCEL, EncoderFit, Found, Segment, fit_imu
 from experiments.calibrate.motor_off import Wanted
 from experiments.calibrate.outcome import Outcome, rounded
@@ -61,7 +62,7 @@ def calibrate_by_encoder(raws: Sequence[RawRun] | None, paths: Sequence[str], ri
     fit = compare(runs, rig)
     native = raws is not None or not any(path.lower().endswith(SUFFIXES) for path in paths)
     values = _values(fit, rig, native)
-    return Outcome(encoder_text(fit, rig) + _stays_words(fit, native), values, _warnings(fit))
+    return Outcome(encoder_text(fit, rig) + _stays_words(fit, native), values, _warnings(fit), _left(fit, values))
 
 
 def encoder_text(fit: EncoderFit, rig: Rig) -> str:
@@ -124,6 +125,21 @@ def _values(fit: EncoderFit, rig: Rig, native: bool) -> dict[str, dict[str, obje
     if fit["lever_arm"].determined and "lever_arm" not in fit.held:
         values["imu"] = {"lever_arm_m": rounded(max(fit["lever_arm"].value, 0.0))}
     return values
+
+
+def _left(fit: EncoderFit, values: Mapping[str, Mapping[str, object]]) -> dict[str, float]:
+    """Tolerances of what is written, and of the gyro's scale, which is not: its own size counts in full."""
+    if worse(fit):
+        return {}
+    sigma = {f.term.name: f.half / TWO_SIDED for f in fit.found}
+    left = {}
+    if "accel_bias_mps2" in values.get("calibration", {}):
+        left["accelerometer_bias"] = max(sigma["accel_bias_x"], sigma["accel_bias_y"])
+    if "imu" in values:
+        left["imu_lever_arm"] = sigma["lever_arm"]
+    if fit["gyro_scale"].determined and "gyro_scale" not in fit.held:
+        left["gyro_scale"] = float(np.hypot(fit["gyro_scale"].value, sigma["gyro_scale"]))
+    return left
 
 
 def corrected(fit: EncoderFit, c: Calibration) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ from daq import Calibration, FloatArray, InputError, Rig, WorkError
 from daq.calibration import LEAST_STILL_S, StillRecord, still_record
 from daq.runs import Mean, RawRun, mean_interval, mean_of
 from daq.timing import align
+from estimator import TWO_SIDED
 from estimator.calibration import MountFit, Readings, fit_mount
 from estimator.signals import lowpass
 from experiments.calibrate.motor_off import Wanted
@@ -92,7 +93,10 @@ def _outcome(fit: MountFit, rig: Rig, rests: int, sign: str, model: Model | None
         warnings.append(f"the lever arm is not determined (+- {fit.lever_half:.2g} m) and not written; swing faster")
     else:
         values["imu"] = {"lever_arm_m": rounded(max(fit.lever_m, 0.0))}
-    return Outcome("\n".join(lines), values, warnings)
+    left = {"imu_lever_arm": fit.lever_half / TWO_SIDED} if "imu" in values else {}
+    if model is not None:  # else friction's share of the angle is not known
+        left["imu_misalignment"] = float(about[2]) / TWO_SIDED
+    return Outcome("\n".join(lines), values, warnings, left)
 
 
 def _against(mount: FloatArray, rig: Rig) -> str:

@@ -10,8 +10,9 @@ import numpy as np
 from daq import Rig
 from daq.calibration import resting_pivot, resting_q1, still_record
 from daq.runs import Mean, RawRun, mean_interval
+from estimator import TWO_SIDED
 from experiments.calibrate.motor_off import Wanted
-from experiments.calibrate.outcome import Outcome, rounded
+from experiments.calibrate.outcome import Outcome, left_by_gravity, rounded
 
 FEWEST = 3
 """Records from which their scatter is an interval."""
@@ -56,5 +57,6 @@ def calibrate_pivot(raws: Sequence[RawRun], rig: Rig) -> Outcome:
     if zeros.size < FEWEST and not by_imu:
         warnings.append(f"friction holds the pivot where it stops, which {zeros.size} of {FEWEST} records do not show: "
                         "give three or more, each reached from the other side")
+    left = float(np.hypot(half / TWO_SIDED, left_by_gravity(rig) if by_imu else 0.0))
     return Outcome("\n".join(lines), {"calibration": {"pivot_zero_rad": rounded(math.remainder(value, math.tau))}},
-                   warnings)
+                   warnings, {"encoder_offset.1": left} if by_imu or zeros.size >= FEWEST else {})

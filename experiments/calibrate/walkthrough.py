@@ -66,9 +66,10 @@ def walk(path: str, measure: Mapping[str, Callable[[Rig], Outcome]], dry_run: bo
             for warning in outcome.warnings:
                 print(f"warning: {warning}")
             print(store(outcome, path, dry_run))
-            text = set_values(text, outcome.values, path)
+            tables = outcome.tables(rig)
+            text = set_values(text, tables, path)
             rig = parse_rig(text, path)
-            words = "; ".join(f"{key} = {value}" for values in outcome.values.values() for key, value in values.items())
+            words = "; ".join(f"{key} = {value}" for values in tables.values() for key, value in values.items())
         rows.append([step.name, words or "nothing to write"])
         if words == STOPPED:
             break

@@ -110,8 +110,9 @@ def _imu(args: argparse.Namespace, rig: Rig) -> Outcome:
 
     records = _recorded(args.runs) if args.runs else _measured(args, rig)
     gyro, accel = calibrating.calibrate(records, rig.mechanism.gravity_mps2)
+    left = {} if accel is None else {"accelerometer_bias": accel.residual_mps2}
     return Outcome(calibrating.calibration_text(gyro, accel),
-                   {"calibration": calibrating.calibration_values(gyro, accel)})
+                   {"calibration": calibrating.calibration_values(gyro, accel)}, tolerances=left)
 
 
 def _encoder(args: argparse.Namespace, rig: Rig) -> Outcome:

@@ -20,6 +20,7 @@ from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import ImuSettings
 from experiments.calibrate.imu import record_still
+from experiments.calibrate.outcome import Outcome, store
 from experiments.cli import main
 from tests.support.processes import REAL_CLOCK
 
@@ -109,6 +110,30 @@ def test_rig_text_keeps_everything_else() -> None:
     assert parse_rig(filled).calibration.gyro_bias_radps[2] == 3.0
 
 
+def test_a_tolerance_of_one_joint_is_set_next_to_others() -> None:
+    stated = RIG + "\n[tolerance]\nencoder_offset.1 = 0.01  # by eye\n# imu_lever_arm = 0.002\n"
+    new = set_values(stated, {"tolerance": {"encoder_offset.2": 0.004, "imu_lever_arm": 0.001}})
+    assert parse_rig(new).tolerances == {"encoder_offset@1": (0.01,), "encoder_offset@2": (0.004,),
+                                         "imu_lever_arm": (0.001,)}
+    assert "# by eye" in new
+    again = set_values(new, {"tolerance": {"encoder_offset.2": 0.003}})
+    assert parse_rig(again).tolerances["encoder_offset@2"] == (0.003,)
+
+
+@pytest.mark.parametrize(("stated", "written"), [
+    ("", {"encoder_offset@2": (0.004,), "gyro_scale": (0.002,)}),
+    ("[tolerance]\nencoder_offset = 0.1\ngyro_scale = 0.5", {"encoder_offset": (0.1,), "gyro_scale": (0.002,)}),
+    ("[tolerance]\nnone = true", {"none": ()})])
+def test_what_a_rig_says_of_all_joints_or_of_none_stays(tmp_path: Path, stated: str, written: dict) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f"{RIG}\n{stated}\n")
+    found = Outcome("", {"calibration": {"knee_zero_rad": 0.2}},
+                    tolerances={"encoder_offset.2": 0.004, "gyro_scale": 0.002, "imu_lever_arm": 0.0})
+    store(found, str(path), False)
+    assert load_rig(path).tolerances == written
+    assert load_rig(path).calibration.knee_zero_rad == 0.2
+
+
 def test_rig_text_written_otherwise_is_refused_not_spoilt() -> None:
     inline = 'calibration = {knee_zero_rad = 0.1}\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
     with pytest.raises(InputError, match="by hand"):
@@ -146,6 +171,9 @@ def test_the_command_on_six_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     np.testing.assert_allclose(found.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
     np.testing.assert_allclose(found.accel_bias_mps2, BIAS, atol=5e-3)
     np.testing.assert_allclose(np.array(found.accel_matrix) @ DISTORTION, np.eye(3), atol=1e-3)
+    left = load_rig(rig).tolerances  # of the bias alone, both axes alike, far below the default of 0.1
+    assert set(left) == {"accelerometer_bias"}
+    assert left["accelerometer_bias"][0] == left["accelerometer_bias"][1] < 0.01
     assert main(["calibrate", "imu", *paths[:2], "--rig", str(rig)]) == 2
     assert "one still record, or six" in capsys.readouterr().err
 

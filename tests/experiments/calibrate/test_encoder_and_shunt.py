@@ -139,6 +139,9 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert found == pytest.approx(zero, abs=0.01)
     half = float(out.split("knee zero: ")[1].split("+- ")[1].split(" ")[0])
     assert abs(found - zero) < half < 0.02
+    # the IMU's zero of q1 adds to the interval: a bias within 0.1 m/s2
+    left = load_rig(rig).tolerances["encoder_offset@2"][0]
+    assert left == pytest.approx(np.hypot(half / 1.96, 0.1 / G), rel=0.05)
     text = rig.read_text()
     assert "# nothing measured yet" in text and "ASSUMED" not in text and "# the gearbox" in text
     assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
@@ -186,6 +189,8 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
         half = float(out.split("shunt offset: ")[1].split("+- ")[1].split(" ")[0])
         assert half == pytest.approx(2.09 * 0.02 / 20, rel=0.5)  # t of 19 degrees over the root of 400 samples
         inside += abs(load_rig(rig).calibration.shunt_offset_a - 0.031) < half
+        per_a = load_rig(rig).calibration.torque_constant_nm_per_a
+        assert load_rig(rig).tolerances["torque_offset@2"][0] == pytest.approx(per_a * half / 1.96, rel=0.05)
     assert inside >= 17
     assert main(["calibrate", "shunt", write_off(tmp_path / "dead.mcap"), "--rig", str(rig), "--dry-run"]) == 0
     assert "is the sensor connected" in capsys.readouterr().err

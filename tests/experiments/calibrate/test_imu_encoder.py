@@ -143,6 +143,8 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytes
     found = load_rig(rig)
     assert found.imu.lever_arm_m == pytest.approx(TRUTH["lever_arm"], abs=2e-3)
     assert found.calibration.gyro_bias_radps == pytest.approx([0.0, 0.0, TRUTH["gyro_bias"]], abs=3e-3)
+    assert found.tolerances["gyro_scale"][0] == pytest.approx(abs(TRUTH["gyro_scale"]), abs=3e-3)  # it stays in
+    assert found.tolerances["imu_lever_arm"][0] < 2e-3 and found.tolerances["accelerometer_bias"][0] < 0.05
     # read with the new file, nothing is left but what it has no key for
     again = compare([read_moving(path, found)], found)
     for name in ("gyro_bias", "accel_bias_x", "accel_bias_y", "accel_scale_x", "accel_scale_y", "accel_skew"):

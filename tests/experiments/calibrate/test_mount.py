@@ -140,6 +140,8 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
     turn = Rotation.from_matrix(np.array(found.calibration.imu_mount) @ wanted.T)
     assert turn.magnitude() < 0.006  # the angle about z has the accelerometer's unknown bias in it
     assert found.imu.lever_arm_m == pytest.approx(LEG.lever, abs=1e-3)
+    assert set(found.tolerances) == {"imu_lever_arm"}  # of the angle about z friction's share is not known
+    assert found.tolerances["imu_lever_arm"][0] < 1e-3
     assert ("Hall sensor says" in out) == bool(hall_sign)
     assert "# by the drawing" in rig.read_text()
     assert msgspec.structs.replace(found.calibration, imu_mount=Calibration().imu_mount,

@@ -47,12 +47,14 @@ def test_the_imu_tells_where_link_1_hangs(tmp_path: Path, sign: int, capsys: pyt
             for k, q1 in enumerate([0.05, -0.04, 0.02])]
     found = calibrate(tmp_path, sign, *runs)
     assert math.remainder(found - zero, math.tau) == pytest.approx(0.0, abs=1e-3)
+    assert load_rig(tmp_path / "rig.toml").tolerances["encoder_offset@1"][0] == pytest.approx(0.1 / 9.81, rel=0.1)
     said = capsys.readouterr().out
     assert "95 %, from 3 records" in said and "link 1 hangs at +0.05" in said
 
 
 def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert calibrate(tmp_path, 1, write_stop(tmp_path / "a.mcap", 1.2)) == pytest.approx(1.2, abs=1e-3)
+    assert not load_rig(tmp_path / "rig.toml").tolerances  # friction holds the pivot, one record does not say how far
     said = capsys.readouterr()
     assert "without an IMU" in said.out and "each reached from the other side" in said.err
 

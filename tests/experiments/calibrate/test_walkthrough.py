@@ -82,7 +82,7 @@ def test_a_walk_with_a_failure_and_steps_left_out(tmp_path: Path) -> None:
         walk.wait_for("Step 4 of 4, shunt")
         walk.wait_for("Enter to begin")
         walk.answer()
-        walk.wait_for("shunt_offset_a written")
+        walk.wait_for("torque_offset.2 written")
         assert walk.close() == 0, walk.said
         summary = walk.said[walk.read_to:]
     assert re.search(r"imu +skipped: .* too short", summary) and re.search(r"mount +skipped", summary)
