@@ -13,7 +13,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
+.PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
 	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation timing trust wheel arm64 \
 	lock sbom docs clean
 
@@ -44,12 +44,16 @@ $(THEIRS): $(STAMP) requirements-counterparts.lock
 # The numerics first with another BLAS kernel: no test hangs on how a sum is rounded.
 test: $(STAMP) $(THEIRS) lint
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.tools.other_kernel
-	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not study" tests
 
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
 # of studies and recordings, clusters, the generator of `make evidence`, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests
+
+# The same on other drives and seeds, and on all public records of the casebook: half an hour.
+test-study: $(STAMP) $(THEIRS)
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m study tests
 
 test-kernel: $(STAMP)
 	$(BIN)/python -m tests.kernel

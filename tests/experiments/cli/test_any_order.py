@@ -109,7 +109,8 @@ def check_files(folder: Path, parts: bool) -> None:
             assert path.name in LOGS, path
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 8))])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), *(
+    pytest.param(seed, marks=pytest.mark.study) for seed in range(2, 8))])
 def test_what_is_left_is_whole_and_the_next_command_takes_it(
         seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)

@@ -95,8 +95,8 @@ def test_an_unknown_drive_is_refused_in_a_line() -> None:
         rig_text("vesc")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=pytest.mark.slow if kind == "moteus" else pytest.mark.study)
+                                  for kind in KINDS])
 def test_the_hidden_spring_is_named(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--drive", kind, "--out", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "diagnosis.json").read_text())
