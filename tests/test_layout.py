@@ -22,7 +22,7 @@ ROOMS = {
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs", "loops"], ["fitting"],
                   ["prediction"], ["diagnosis", "calibration", "change"]],
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
-                    ["rig", "excite", "emulation", "session"], ["reports"],
+                    ["rig", "excite", "emulation", "session"], ["judge"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results", "listings", "changes"], ["api", "tools"]],
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.calibrate import CHECK, FOUND, check_rows, found_rows, open_terms
+from experiments.judge import number
 from experiments.reports import (
     BLUE,
     ORANGE,
@@ -19,7 +20,6 @@ from experiments.reports import (
     error_rows,
     gap_text,
     key_label,
-    number,
     picture_lines,
     short_tables,
     signature_limits,

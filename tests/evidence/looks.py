@@ -22,7 +22,7 @@ from daq.looks import look
 from daq.runs import RawTable, read_csv
 from daq.timing import align_table
 from estimator import FitError
-from experiments.reports import fit_trust
+from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
 from experiments.studies import machine
 from experiments.workflows import fit_runs
