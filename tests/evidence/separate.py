@@ -50,8 +50,8 @@ from experiments.models import (
 )
 from experiments.reports import diagnosis_document
 from experiments.session import Setup, prepare, setup_of
-from experiments.studies import machine
 from experiments.workflows import diagnose_prepared
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.emulated_legs import causes_of, label, leg_of, rig_in
 from tests.evidence.kept import kept

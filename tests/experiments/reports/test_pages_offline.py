@@ -26,8 +26,8 @@ from experiments.reports.fit_page import fit_sections, fit_summary, truth_sectio
 from experiments.reports.html import Section, Table, write_page
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
-from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
-from experiments.studies.casebook_page import write_casebook
+from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
+from studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
 from tests.support.fits import synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser

@@ -29,7 +29,7 @@ from experiments.reports import (
     validation_rows,
     write_page,
 )
-from experiments.studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
+from studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
 
 SECONDS = 12.0
 
