@@ -35,16 +35,9 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
+from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.reports import (
-    REFERENCE_NAMES,
-    check_sound,
-    diagnosed_model,
-    model_of,
-    model_with_origin,
-    origin_from,
-    source_of,
-)
+from experiments.reports import REFERENCE_NAMES, model_with_origin, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
 from experiments.workflows import (

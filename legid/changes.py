@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.change import Change as PlainChange
+from experiments.judge import Investigation as PlainInvestigation
+from experiments.judge import Watched
 from experiments.reports import (
     CAUSE_HEADER,
     Source,
-    Watched,
     cause_rows,
     change_document,
     change_text,
@@ -27,7 +28,6 @@ from experiments.reports import (
     write_document,
     write_watch,
 )
-from experiments.reports import Investigation as PlainInvestigation
 from experiments.session import damaged_runs
 from experiments.workflows import ChangeFound
 from legid.tables import Shown, frame, html_table, paragraphs
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from experiments.reports import Step
+    from experiments.judge import Step
 
 
 @dataclass(frozen=True, repr=False)

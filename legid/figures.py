@@ -15,14 +15,12 @@ from estimator import FitResult
 from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
+from experiments.judge import Comparison, Investigation, Watched
 from experiments.reports import (
     BLUE,
     GREEN,
     GREY,
     ORANGE,
-    Comparison,
-    Investigation,
-    Watched,
     drawn_changes,
     paint_changes,
     paint_errors,

@@ -14,6 +14,8 @@ from daq.recording import Plan
 from experiments.exchange import Guess as PlainGuess
 from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
+from experiments.judge import Comparison as PlainComparison
+from experiments.judge import comparison_trust
 from experiments.models import Gains as PlainGains
 from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
 from experiments.reports import (
@@ -21,7 +23,6 @@ from experiments.reports import (
     Source,
     comparison_document,
     comparison_text,
-    comparison_trust,
     guess_rows,
     guess_section,
     guess_table,
@@ -31,7 +32,6 @@ from experiments.reports import (
     write_document,
     write_page,
 )
-from experiments.reports import Comparison as PlainComparison
 from experiments.session import damaged_runs
 from experiments.workflows import Tuning as PlainTuning
 from experiments.workflows import tuning_document, tuning_rows, tuning_text

@@ -20,6 +20,7 @@ from daq import Rig, WorkError
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import Validation as PlainValidation
+from experiments.judge import fit_trust
 from experiments.models import Model
 from experiments.reports import (
     PARAMETER_HEADER,
@@ -28,7 +29,6 @@ from experiments.reports import (
     diagnosis_document,
     error_rows,
     errors_text,
-    fit_trust,
     gap_text,
     origin_from,
     parameter_rows,

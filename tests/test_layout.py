@@ -12,7 +12,8 @@ from tests.support.paths import ROOT
 
 FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"estimator"},  # and OF_DAQ
           "experiments": {"drivers", "daq", "estimator", "experiments"},
-          "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
+          "legid": {"drivers", "daq", "estimator", "experiments", "legid"},
+          "studies": {"drivers", "daq", "estimator", "experiments", "studies"}}
 """Floor to the floors that it may import."""
 ROOMS = {
     "daq": [["errors", "files", "findings", "dataset", "imu_mount", "loop", "mechanisms", "rig", "rig_columns",
@@ -22,9 +23,11 @@ ROOMS = {
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs", "loops"], ["fitting"],
                   ["prediction"], ["diagnosis", "calibration", "change"]],
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
-                    ["rig", "excite", "emulation", "session"], ["reports"],
-                    ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
+                    ["rig", "excite", "emulation", "session"], ["judge"], ["reports"],
+                    ["workflows", "doctor", "calibrate", "live"], ["cli"]],
     "legid": [["tables", "figures"], ["results", "listings", "changes"], ["api", "tools"]],
+    "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
+                ["run_casebook", "run_monte_carlo"]],
 }
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""
 LEVELS = 10
@@ -123,7 +126,8 @@ def past_faces(module: str) -> Iterator[str]:
                 yield f"{source} does not offer {name}"
             continue
         behind = package_of(source)
-        if own != behind and not own.startswith(f"{behind}."):
+        beside = behind in FLOORS and not face(behind)  # a floor without a face: what stands beside its rooms
+        if own != behind and not own.startswith(f"{behind}.") and not beside:
             yield f"{source} is inside {behind}: take {name} from {behind}"
 
 

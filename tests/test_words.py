@@ -15,7 +15,7 @@ import pytest
 from tests.support.paths import ROOT
 from tests.support.words import IN_ESTIMATOR, WORDS, compiled, lix
 
-FLOORS = ("drivers", "daq", "estimator", "experiments", "legid")
+FLOORS = ("drivers", "daq", "estimator", "experiments", "legid", "studies")
 LONGEST = 30
 """Most words of a sentence in a message, and of a docstring's first sentence."""
 SENTENCES = r"(?<=[.:;!?])\s+|\n\s*\n|\n\s*[-*|]"

@@ -13,7 +13,7 @@ from daq import ControllerDevice, InputError, Rig
 from daq.recording import check_drive
 from drivers import VERSION, Drive, Reaction, State, describe_faults, fault_remedy, hello_of
 from experiments.doctor.check import Check
-from experiments.reports import GOOD_TIMER_MS
+from experiments.judge import GOOD_TIMER_MS
 
 PROC = Path("/proc")
 GEAR_TOLERANCE = 1e-3

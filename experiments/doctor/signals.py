@@ -7,7 +7,7 @@ import numpy as np
 from daq import Dataset, FloatArray, InputError, Rig, imu_columns
 from daq.timing import align, is_polled
 from experiments.doctor.check import Check, Heard
-from experiments.reports import BOUND_S, clock_bound_s
+from experiments.judge import BOUND_S, clock_bound_s
 
 RATE_TOLERANCE = 0.06
 LOST_SHARE = 0.01

@@ -8,74 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator import FitResult
-from estimator.fitting import next_measurement
+from experiments.judge import LEAST_PART, PARTS_TOLD, number, parts_of, precision, source_words
 from experiments.reports.diagnosis_figures import ROW_IN, draw
 from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, finish
 from experiments.reports.html import Picture, Section, Table
-from experiments.reports.numbers import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TOLD = 3
-"""Sources that a sentence names, ..."""
-LEAST = 0.1
-"""... each of at least this share of the interval."""
 BARS = 5
 """Sources with a colour of their own in a bar."""
 COLOURS = (ORANGE, GREEN, INK, "#c9a227", "#8a5fb0")
 HEADER = ["parameter", "value", "+- (95 %)", "largest parts, each alone"]
-WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
-         "step": "suggested faults",
-         "imu_lever_arm": "lever arm"}
-"""Source -> its words, where they are not its name."""
-
-
-def source_words(source: str) -> str:
-    """A source for a person: "joint stiffness 2"."""
-    name, _, joint = source.partition("@")
-    words = WORDS.get(name, name.replace("_", " ")).replace("imu ", "IMU ")
-    return f"{words} {joint}".strip()
-
-
-def leading(result: FitResult) -> int | None:
-    """Number of the parameter that stands for all: the first of the rigid ones that was estimated and is not zero."""
-    for k, p in enumerate(result.mechanism.parameters):
-        if p.rigid and p.name not in {*result.fixed, *result.at_bound, *result.open_parameters} and result.beta[k]:
-            return k
-    return None
-
-
-def parts_of(result: FitResult, k: int) -> dict[str, float]:
-    """Source -> half of the 95 % interval of parameter number k that it would make alone, the largest first."""
-    if result.budget is None:
-        return {}
-    scale = float(result.half_width[k] / result.std[k]) if result.std[k] > 0.0 else 0.0
-    found = {part.source: scale * float(part.std[k]) for part in result.budget.parts}
-    return dict(sorted(found.items(), key=lambda pair: -pair[1]))
-
-
-def precision(result: FitResult) -> str:
-    """Precision of the leading parameter, its largest parts, and what to calibrate first; empty without a budget."""
-    k = leading(result)
-    if result.budget is None or k is None:
-        return ""
-    value = abs(float(result.beta[k]))
-    half, parts = float(result.half_width[k]), parts_of(result, k)
-    told = [f"{source_words(source)} {_percent(part / value)}" for source, part in parts.items() if part > LEAST * half]
-    noise = [f"noise {_percent(parts['noise'] / value)}"] if parts["noise"] <= LEAST * half else []
-    advice = next_measurement(result)
-    first = f". Calibrate the {source_words(advice.name)} first" if advice is not None and advice.source else ""
-    if half > value:  # a share of more than the whole says nothing
-        largest = ", ".join(source_words(source) for source, part in [*parts.items()][:TOLD] if part > LEAST * half)
-        return (f"{result.mechanism.names[k]} is not known: its interval is wider than its value, most by {largest}"
-                f"{first}")
-    return (f"{result.mechanism.names[k]} is known to {_percent(half / value)} ({', '.join([*told[:TOLD], *noise])})"
-            f"{first}")
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
 def budget_rows(result: FitResult) -> list[list[str]]:
@@ -86,8 +30,8 @@ def budget_rows(result: FitResult) -> list[list[str]]:
             continue
         half, std = float(result.half_width[k]), float(result.std[k])
         parts = [f"{source_words(source)} {number(part, std)}" for source, part in parts_of(result, k).items()
-                 if part > LEAST * half]
-        rows.append([p.name, number(float(result.beta[k]), std), number(half, std), ", ".join(parts[: TOLD + 1])])
+                 if part > LEAST_PART * half]
+        rows.append([p.name, number(float(result.beta[k]), std), number(half, std), ", ".join(parts[: PARTS_TOLD + 1])])
     return rows
 
 

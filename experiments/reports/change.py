@@ -8,7 +8,7 @@ from typing import Any
 
 from estimator.change import Change, ChangedCause, Detectable, HeldOut, Kind, LevelChange
 from experiments.console import text_table
-from experiments.reports.next_step import Files, with_names
+from experiments.judge import Files, with_names
 from experiments.reports.origin import Source
 from experiments.session import SetAside
 

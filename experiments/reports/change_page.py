@@ -12,6 +12,7 @@ import numpy as np
 
 from daq import Dataset
 from estimator.change import Change, Detectable
+from experiments.judge import Files, Level, with_names
 from experiments.provenance import Origin
 from experiments.reports.change import (
     CAUSE_HEADER,
@@ -27,8 +28,7 @@ from experiments.reports.change import (
 )
 from experiments.reports.diagnosis_figures import ROW_IN, draw
 from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
-from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
-from experiments.reports.next_step import Files, with_names
+from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.origin import origin_section
 
 if TYPE_CHECKING:

@@ -10,21 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq import Dataset
+from experiments.judge import Comparison, HorizonError, comparison_trust, horizon_text
 from experiments.provenance import Origin
 from experiments.reports.chart import Line
-from experiments.reports.comparison import (
-    ERROR_HEADER,
-    PARAMETER_HEADER,
-    Comparison,
-    HorizonError,
-    comparison_trust,
-    error_rows,
-    horizon_text,
-    parameter_rows,
-)
+from experiments.reports.comparison import ERROR_HEADER, PARAMETER_HEADER, error_rows, parameter_rows
 from experiments.reports.diagnosis_figures import axis_label, draw
 from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
-from experiments.reports.html import Picture, Section, Table, fold, write_page
+from experiments.reports.html import Picture, Section, Table, fold, trust_box, write_page
 from experiments.reports.origin import origin_section
 
 if TYPE_CHECKING:
@@ -38,7 +30,7 @@ def write_comparison(path: Path | str, found: Comparison, model: str, runs: Sequ
     cannot be written."""
     write_page(path, f"{found.files[0]} (A) against {found.files[1]} (B)",
                f"Two models of {model} on {len(runs)} run{'s' * (len(runs) != 1)}.",
-               [*comparison_sections(found), origin_section(origin, runs)], origin, comparison_trust(found).verdict())
+               [*comparison_sections(found), origin_section(origin, runs)], origin, trust_box(comparison_trust(found)))
 
 
 def comparison_sections(found: Comparison) -> list[Section]:

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
-from experiments.models import (
-    MechanismSettings,
-    Model,
-    ParameterValue,
-    Provenance,
-    build_mechanism,
-    effect_value,
-    fitted_settings,
-    structure_values,
-)
-from experiments.provenance import program_version
-from experiments.reports.next_step import next_step
+from experiments.judge import next_step
 from experiments.reports.structure import structure_document
-from experiments.session import SetAside, Setup, faulty_readings
+from experiments.session import SetAside, faulty_readings
 
 SCHEMA = "legid.diagnosis/1"
 WHOLE_RIG = frozenset({"rotor_inertia"})
@@ -126,43 +114,3 @@ def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
     return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
 
 
-def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: datetime | None = None) -> Model:
-    """The extended model, or the nominal one where the verdict extends nothing."""
-    settings = setup.settings if found.mechanism is None else fitted_settings(setup.settings, found.mechanism)
-    mechanism = build_mechanism(settings)
-    p = mechanism.p
-    if found.effects:
-        beta, covariance = found.extended_beta[:p], found.extended_covariance
-    else:
-        beta = np.array([found.nominal[name] for name in mechanism.names])
-        covariance = np.diag([found.nominal_std[name] ** 2 for name in mechanism.names])
-    return Model(
-        schema="legid.model/1", mechanism=settings, parameters=_parameters(settings, beta),
-        covariance=tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in covariance),
-        noise={name: float(level) for name, level in found.noise.items()},
-        hold=found.hold or setup.options.hold,
-        effects=tuple(effect_value(effect, size) for effect, size in found.effects),
-        structure=None if found.structure is None else structure_values(found.structure), gear_ratio=gear_ratio,
-        reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
-        provenance=Provenance(runs=_whole_runs(_fitted(found), setup),
-                              method="mle",
-                              sensors=setup.options.sensors,  # type: ignore[arg-type]
-                              date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
-                              version=program_version()))
-
-
-def _fitted(found: Diagnosis) -> Iterable[str]:
-    """Runs that the model was fitted to: a structure is learnt from the held-out ones, too."""
-    groups = ("fit", "screen", *(("confirm",) if found.structure is not None else ()))
-    return [name for group in groups for name in found.runs.get(group, ())]
-
-
-def _whole_runs(names: Iterable[str], setup: Setup) -> tuple[str, ...]:
-    """The runs that `names` are of: a diagnosis of few runs cuts them into pieces, `ONE.csv[0.0-4.2 s]`."""
-    runs = [data.name for data in setup.datasets]
-    return tuple(dict.fromkeys(next((run for run in runs if name.startswith(f"{run}[")), name) for name in names))
-
-
-def _parameters(settings: MechanismSettings, beta: FloatArray) -> tuple[ParameterValue, ...]:
-    return tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
-                 for p, value in zip(build_mechanism(settings).parameters, beta))

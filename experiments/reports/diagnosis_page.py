@@ -13,6 +13,7 @@ from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
 from estimator.signals import angle_column
+from experiments.judge import Files, Level, next_step, with_names
 from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
@@ -55,8 +56,7 @@ from experiments.reports.diagnosis_text import (
     small_rows,
 )
 from experiments.reports.figures import on_paper
-from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
-from experiments.reports.next_step import Files, next_step, with_names
+from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
 from experiments.reports.structure import structure_section

@@ -11,28 +11,29 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
+from experiments.judge import (
+    LAGS,
+    Correlation,
+    Estimate,
+    fit_percent,
+    fit_trust,
+    friction_level,
+    number,
+    open_torque,
+    residual_tests,
+    torque_fit,
+)
 from experiments.provenance import Origin
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
-from experiments.reports.html import Picture, Section, Table, fold, write_page
-from experiments.reports.numbers import Estimate, number
+from experiments.reports.html import Picture, Section, Table, fold, trust_box, write_page
 from experiments.reports.origin import origin_section
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
-from experiments.reports.residual_tests import (
-    LAGS,
-    Correlation,
-    fit_percent,
-    friction_level,
-    open_torque,
-    residual_tests,
-    torque_fit,
-)
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
 from experiments.reports.sketch import sketch_pictures
-from experiments.reports.trust import fit_trust
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -66,7 +67,7 @@ def write_fit(path: Path | str, result: FitResult, model: str, runs: Sequence[Da
     written."""
     write_page(path, f"Fit of {model}: {', '.join(run.name for run in runs)}", fit_summary(result, model),
                [*fit_sections(result), origin_section(origin, runs)], origin,
-               fit_trust(result).verdict(result.warnings))
+               trust_box(fit_trust(result), result.warnings))
 
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from estimator import FitResult
 from experiments.console import text_table
+from experiments.judge import number
 from experiments.reports.budget import budget_lines
 from experiments.reports.friction_form import friction_lines
-from experiments.reports.numbers import number
 from experiments.reports.prior_knowledge import HEADER as PRIOR_HEADER
 from experiments.reports.prior_knowledge import measure_sentence, prior_rows, prior_sentence
 from experiments.reports.run_agreement import agreement_lines

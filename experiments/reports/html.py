@@ -17,11 +17,12 @@ from functools import lru_cache
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from experiments.console import write_text
+from experiments.judge import Level, Trust
 from experiments.provenance import META, Origin, program_version
 from experiments.reports.chart import Chart
 
@@ -36,10 +37,6 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+")
 
 if TYPE_CHECKING:
     from markupsafe import Markup
-
-
-Level = Literal["good", "caution", "bad"]
-"""How far an answer can be relied on."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +94,12 @@ class VerdictBox:
     warnings: Sequence[str] = ()
     action: str = ""
     """The next step."""
+
+
+def trust_box(trust: Trust, warnings: Sequence[str] = ()) -> VerdictBox:
+    """The box of an answer that can be relied on so far."""
+    title, lines = trust.headline
+    return VerdictBox(trust.level, title, lines, [f"Warning: {text}" for text in warnings])
 
 
 def fold(sections: Sequence[Section]) -> list[Section]:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimator.diagnosis import Diagnosis
+from experiments.judge import Investigation, Step
 from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import draw
 from experiments.reports.diagnosis_page import LEVELS, verdict_words
 from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
 from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, write_page
-from experiments.reports.investigation import Investigation, Step, belief_text, explanation
+from experiments.reports.investigation import belief_text, explanation
 from experiments.reports.origin import origin_section
 
 if TYPE_CHECKING:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from estimator import FitResult
 from estimator.effects import classes
 from estimator.fitting import CALIBRATED, Measurement, body_unit, next_measurement
+from experiments.judge import number
 from experiments.reports.html import Section, Table
-from experiments.reports.numbers import number
 
-CONTRADICTS = 3.0
-"""Standard deviations from which on the runs contradict what was known."""
 HEADER = ["known before", "value", "std", "after the fit", "std after"]
 CALIBRATIONS = {"torque_gain": "legid calibrate shunt --weight", "imu_lever_arm": "a ruler"}
 """Source of the budget -> how to calibrate it, where its effect does not say."""
@@ -23,17 +21,6 @@ def prior_sentence(result: FitResult) -> str:
         return ""
     names = ", ".join(f"{one.name} = {one.value:.4g} +- {one.std:.2g}" for one in result.prior)
     return f"Maximum a posteriori: the fit used what [prior] says ({names}), together with the runs."
-
-
-def contradictions_of(result: FitResult) -> list[str]:
-    """One sentence for each known value that the runs contradict."""
-    found = [f"the runs contradict [prior] {one.name} = {one.value:.4g} +- {one.std:.2g} by {one.contradiction:.1f} "
-             f"standard deviations (after the fit {one.fitted:.4g}): measure it again, or take it out"
-             for one in result.prior if one.contradiction > CONTRADICTS]
-    if not found and result.prior_conflict > CONTRADICTS:
-        found = [f"the runs contradict [prior] by {result.prior_conflict:.1f} standard deviations a value: check its "
-                 "values and units"]
-    return found
 
 
 def prior_rows(result: FitResult) -> list[list[str]]:

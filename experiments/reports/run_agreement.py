@@ -7,31 +7,13 @@ from typing import Any
 import numpy as np
 
 from estimator import FitResult
+from experiments.judge import WIDENED, disputed, number
 from experiments.reports.html import Section, Table
-from experiments.reports.numbers import number
 
-WIDE = 1.05
-"""Intervals wider than this by what runs disagree about are said to be."""
 LEAST_P = 1e-9
 """Probabilities below this are told as being below: so far out nobody knows the distribution."""
 MOST_RUNS = 8
 """Runs whose values stand side by side on a page."""
-
-
-def disputed(result: FitResult) -> list[int]:
-    """Numbers of the determined parameters about which the runs are seen to disagree, wide enough for an interval."""
-    found = result.agreement
-    if found is None or not found.disagree:
-        return []
-    told = result.widening > WIDE
-    if found.seen.size:  # none of what an older model file tells
-        told = told & found.seen
-    return [int(k) for k in np.flatnonzero(told) if result.mechanism.names[k] not in result.open_parameters]
-
-
-def units(result: FitResult) -> str:
-    """Units that may disagree: runs, or segments of a single run."""
-    return f"{'run' if result.agreement is None else result.agreement.unit}s"
 
 
 def agreement_lines(result: FitResult) -> list[str]:
@@ -103,7 +85,7 @@ def agreement_document(result: FitResult) -> dict[str, Any] | None:
 def _widened(result: FitResult) -> str:
     names = {*result.fixed, *result.at_bound, *result.open_parameters}
     wide = [float(x) for p, x in zip(result.mechanism.parameters, result.widening)
-            if p.name not in names and x > WIDE]
+            if p.name not in names and x > WIDENED]
     if not wide:
         return "too little to widen an interval"
     span = f"{min(wide):.1f}" if len(wide) == 1 else f"{min(wide):.1f} to {max(wide):.1f}"

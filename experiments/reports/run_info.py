@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,19 +14,14 @@ from daq.timing import (
     compare_torque_channels,
     configured,
     decode,
-    fit_answers,
-    fit_ticks,
-    is_polled,
     measure_skew,
     recorded_rig,
 )
 from drivers import describe_faults
 from experiments.console import text_table
+from experiments.judge import clock_bound_s, clock_warnings
 
 EVENTS_SHOWN = 20
-BOUND_S = 1e-3
-"""A clock known less well than this is worth a warning: a leg moves in that time."""
-GOOD_TIMER_MS = 1
 SKEW_RATE_HZ = 200.0
 HOST_TIME = {"/imu": "drain_before_ns", "/imu/slow": "host_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
              "/leg/command": "host_ns", "/distance": "host_ns", "/pivot": "host_before_ns", "/shunt": "host_before_ns"}
@@ -170,29 +163,6 @@ def second_shunt(raw: RawRun, run: Dataset) -> list[str]:
     return [*lines, f"second shunt against the drive (95 %): gain {gain.value:.4f} +- {gain.half:.1g}, offset "
             f"{offset.value:+.4f} +- {offset.half:.1g} N m, delay {late.value * 1e3:+.2f} +- {late.half * 1e3:.1g} ms "
             f"(its samples' own times are known to {half_ms:.1f} ms), residual {found.residual_nm:.2g} N m rms"]
-
-
-def clock_bound_s(raw: RawRun) -> float:
-    """Uncertainty of the controller's clock in the worst boot [s]; 0 without probes."""
-    probes = raw.streams["/leg/clock"]
-    fit = fit_answers if is_polled(raw) else fit_ticks
-    return max((fit(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
-                for boot in np.unique(probes["boot_id"])), default=0.0)
-
-
-def clock_warnings(bound_s: float, link: Mapping[str, object]) -> list[str]:
-    """Warnings on a clock bound [s] and on the link's own facts; empty without any."""
-    lines = []
-    if bound_s > BOUND_S:
-        lines.append(f"warning: the controller's clock is known to {bound_s * 1e3:.1f} ms only, more than "
-                     f"{BOUND_S * 1e3:g} ms; a skew of that size can pass for friction: use CAN, USB-ACM or a short "
-                     "latency timer")
-    timer = link.get("latency_timer_ms")
-    if isinstance(timer, int) and timer > GOOD_TIMER_MS:
-        port = str(link.get("port", "")).rsplit("/", 1)[-1]
-        lines.append(f"warning: the serial adapter's latency timer was {timer} ms; "
-                     f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{port}/latency_timer")
-    return lines
 
 
 def _rig_lines(raw: RawRun) -> list[str]:

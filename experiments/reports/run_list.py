@@ -19,8 +19,9 @@ from daq import InputError, read_bytes
 from daq.runs import SUFFIXES, RawRun, commanded, read_csv, read_run, start_of
 from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
+from experiments.judge import BOUND_S, clock_bound_s
 from experiments.reports.diagnosis_json import SCHEMA
-from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames, readings_of, recorded_readings
+from experiments.reports.run_info import lost_frames, readings_of, recorded_readings
 from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
 KINDS = (".mcap", *SUFFIXES)

@@ -9,10 +9,10 @@ import numpy as np
 
 from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
 from experiments.console import text_table
+from experiments.judge import fits_of
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
 from experiments.reports.html import Section, Table
-from experiments.reports.trust import fits_of
 
 SCHEMA = "legid.validation/1"
 FIGURE_SECONDS = 20.0

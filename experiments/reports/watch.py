@@ -3,37 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
-from estimator.change import Block, Change, WatchedRun
+from estimator.change import Block
+from experiments.judge import Watched
 from experiments.reports.change import change_document
 from experiments.reports.origin import Source
 
 WATCH_SCHEMA = "legid.watch/1"
 MOST_H = 1e6
 """Longer times between false alarms are not told apart."""
-
-
-@dataclass(frozen=True)
-class Watched:
-    """One run, tested."""
-
-    found: WatchedRun
-    change: Change | None = None
-    """After an alarm, from two runs on: what changed since the run with the alarm."""
-    recorded: datetime | None = None
-    """When its recording began [UTC], of a native run file."""
-
-    @property
-    def state(self) -> str:
-        """alarm, not tested, changed (since an earlier alarm) or ok."""
-        if self.found.alarm is not None:
-            return "alarm"
-        if self.found.failed:
-            return "not tested"
-        return "changed" if self.change is not None and self.change.verdict != "no_change" else "ok"
 
 
 def line_text(one: Watched) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.judge import Watched
 from experiments.provenance import Origin
 from experiments.reports.change import REFERENCE_NAMES
 from experiments.reports.change_page import change_sections
@@ -15,7 +16,7 @@ from experiments.reports.diagnosis_figures import draw
 from experiments.reports.figures import BLUE, INK, ORANGE, finish
 from experiments.reports.html import Picture, Section, Table, VerdictBox, write_page
 from experiments.reports.origin import origin_section
-from experiments.reports.watch import Watched, label_of, often, watch_summary
+from experiments.reports.watch import label_of, often, watch_summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

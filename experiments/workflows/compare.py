@@ -9,8 +9,8 @@ import numpy as np
 from daq import Dataset, Rig
 from estimator.prediction import HORIZONS_S, predict
 from experiments.console import progress
+from experiments.judge import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
 from experiments.models import Model, fitted_model_of, known_effects
-from experiments.reports import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
 from experiments.session import prepare, require_sound
 from experiments.workflows.validate import require_mechanism
 

@@ -17,7 +17,7 @@ from estimator.fitting import fit
 from experiments.console import busy, make_directory, progress, stages, write_text
 from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated, rig_with_drive
 from experiments.excite import random_multisine
-from experiments.reports import diagnosed_model
+from experiments.judge import diagnosed_model
 from experiments.session import prepare
 from experiments.workflows.demo_files import write_results
 from experiments.workflows.demo_result import Demo

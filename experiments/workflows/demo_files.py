@@ -7,20 +7,19 @@ from pathlib import Path
 from estimator import FitResult
 from estimator.prediction import validations_of
 from experiments.console import command_line, write_json, write_text
+from experiments.judge import estimates_of, fit_trust, model_of
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
     diagnosis_document,
     diagnosis_sections,
-    estimates_of,
     fit_document,
     fit_sections,
     fit_summary,
-    fit_trust,
-    model_of,
     model_with_origin,
     origin_section,
     standalone,
+    trust_box,
     truth_section,
     validation_document,
     validation_picture,
@@ -52,7 +51,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
     sections[-3:-3] = [validation_section(demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
-               [*sections, origin_section(origin)], origin, fit_trust(result).verdict(result.warnings))
+               [*sections, origin_section(origin)], origin, trust_box(fit_trust(result), result.warnings))
     told = diagnosis_sections(demo.diagnosis, setup.mechanism)
     told[1:1] = [truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",

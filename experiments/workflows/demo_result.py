@@ -9,8 +9,8 @@ from estimator import FitResult
 from estimator.diagnosis import Diagnosis
 from estimator.prediction import PredictionTable
 from experiments.emulation import Hidden
+from experiments.judge import Estimate, estimates_of, normal
 from experiments.models import Model
-from experiments.reports import Estimate, estimates_of, normal
 from experiments.session import Setup
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from estimator.prediction import PredictionTable
 from experiments.console import text_table
-from experiments.reports import gap_text, number, size_rows
+from experiments.judge import number
+from experiments.reports import gap_text, size_rows
 from experiments.workflows.demo_result import Demo
 
 

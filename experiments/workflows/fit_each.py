@@ -9,8 +9,8 @@ from typing import Any
 from daq import InputError, Rig, WorkError
 from estimator import Method
 from experiments.console import text_table
+from experiments.judge import number
 from experiments.provenance import Origin
-from experiments.reports import number
 from experiments.workflows.executor import Executor
 
 SCHEMA = "legid.fits/1"

@@ -11,8 +11,8 @@ import numpy as np
 from daq import FloatArray
 from estimator.prediction import PredictedRun, SmoothedRun, smooth, tabulate
 from experiments.console import progress
+from experiments.judge import validation_trust, with_fit_trust
 from experiments.models import Model, fitted_model_of
-from experiments.reports import validation_trust, with_fit_trust
 from experiments.session import Prepared
 from experiments.simulators import SIMULATORS, ExportedLeg, Piece, Record, Start, reduced, rows_of
 from experiments.workflows.validate import ValidationReport, predict_setup

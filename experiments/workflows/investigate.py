@@ -34,18 +34,12 @@ from experiments.excite import (
     usual_choice,
     widening_bands,
 )
+from experiments.judge import Ending, Experiment, Investigation, Step, check_sound, diagnosed_model, model_of
 from experiments.models import Model, save_model
 from experiments.provenance import Origin
 from experiments.reports import (
-    Ending,
-    Experiment,
-    Investigation,
-    Step,
-    check_sound,
-    diagnosed_model,
     diagnosis_document,
     investigation_document,
-    model_of,
     with_origin,
     write_diagnosis,
     write_investigation,

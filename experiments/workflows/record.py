@@ -8,7 +8,7 @@ from typing import NamedTuple
 from daq import InputError, RigFile, read_rig_file
 from daq.recording import Plan, Progress, RecordReport, Remote, record_run
 from experiments.emulation import Replayed
-from experiments.reports import clock_warnings
+from experiments.judge import clock_warnings
 from experiments.rig import open_devices
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from daq import Rig
 from experiments.console import text_table
+from experiments.judge import model_of
 from experiments.models import fitted_settings
-from experiments.reports import model_of, validation_text
+from experiments.reports import validation_text
 from experiments.session import Runs, prepare
 from experiments.simulators import model_of_robot, read_robot
 from experiments.workflows.fit import fit_runs

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from experiments.reports import Ending
+from experiments.judge import Ending
 
 OVERHEAD_S = 5.0
 """Of a recording: devices opened, clocks probed, file closed."""

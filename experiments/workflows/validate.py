@@ -22,20 +22,18 @@ from estimator.prediction import (
     walk_ahead,
 )
 from experiments.console import progress
+from experiments.judge import Trust, model_contradictions, validation_trust, with_fit_trust
 from experiments.models import Model, build_mechanism, fitted_model_of, range_note
 from experiments.provenance import Origin, Source
 from experiments.reports import (
-    Trust,
     horizons_document,
     horizons_section,
-    model_contradictions,
     origin_section,
+    trust_box,
     validation_document,
     validation_section,
-    validation_trust,
     walk_document,
     walk_section,
-    with_fit_trust,
     write_page,
 )
 from experiments.session import Prepared, Setup, contradictions, faulty_readings, require_sound
@@ -91,7 +89,7 @@ def write_validation(path: Path | str, found: ValidationReport, model: Model, wh
                f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
                f"simulated against {len(table.runs)} run{'s' * (len(table.runs) != 1)}.",
                [validation_section(table), horizons_section(table), *walk, origin_section(origin, runs)], origin,
-               found.trust.verdict())
+               trust_box(found.trust))
 
 
 class Validated(NamedTuple):

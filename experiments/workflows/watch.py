@@ -14,8 +14,8 @@ from daq import Dataset, InputError, Rig
 from daq.runs import started_at
 from estimator import FitError
 from estimator.change import Watch, WatchedRun, detect_change, learn_reference, start_watch
+from experiments.judge import Watched
 from experiments.models import Model, known_effects, reference_of
-from experiments.reports import Watched
 from experiments.session import Runs, prepare, require_one_rig, require_sound, setup_of
 from experiments.workflows.change import SUFFIXES, runs_in
 from experiments.workflows.diagnose import require_alike, without_benchmark

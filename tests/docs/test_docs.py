@@ -28,7 +28,7 @@ LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]*)?\)")
 
 def literals() -> Iterator[str]:
     """Every string of the packages, with a hole for each value put into it."""
-    floors = ("drivers", "daq", "estimator", "experiments", "legid")
+    floors = ("drivers", "daq", "estimator", "experiments", "legid", "studies")
     for path in (p for floor in floors for p in (ROOT / floor).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):

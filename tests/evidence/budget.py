@@ -18,7 +18,7 @@ from daq import Dataset
 from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
 from estimator.score import ONLY, default_tolerances
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.lab_legs import drawn, plant_of
 from tests.evidence.page_file import within, write_page

@@ -20,8 +20,8 @@ from daq import InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from experiments.emulation import EFFECTS, Hidden, record_emulated
 from experiments.excite import random_multisine
-from experiments.studies import machine
 from experiments.workflows import find_change
+from studies import machine
 from tests.evidence.blind import geared, servo, stickslip
 from tests.evidence.blind.bench import generate
 from tests.evidence.blind.cases import TABLE_RATIO, Case, draw_case, strengths

@@ -22,7 +22,7 @@ from daq import Dataset
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import leg2
 from estimator.result import TWO_SIDED
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence, shares

@@ -249,7 +249,7 @@ def legs(count: int) -> Results:
 
 
 def _estimates(found: Any) -> Any:
-    from experiments.reports import estimates_of
+    from experiments.judge import estimates_of
 
     return estimates_of(found).values()
 

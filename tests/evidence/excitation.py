@@ -34,7 +34,7 @@ from experiments.models.schema import MechanismSettings, Model, ParameterValue, 
 from experiments.reports.html import Table
 from experiments.reports.markdown import markdown_table
 from experiments.session import prepare
-from experiments.studies.machine import machine
+from studies.machine import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from tests.evidence.registry import Evidence
 from tests.support.paths import ROOT
 
-CORE = ROOT / "drivers" / "mock" / "firmware"
+CORE = ROOT / "firmware"
 PARTS = ("core", "config", "codec", "can")
 SOURCES = [ROOT / "tests" / "evidence" / "fuzz_core.c", *(CORE / f"leg_{part}.c" for part in PARTS)]
 STRICT = ["-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all"]

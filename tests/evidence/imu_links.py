@@ -17,7 +17,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, fit
 from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence, shares
 from tests.support.mujoco_leg import GRAVITY

@@ -26,8 +26,8 @@ from experiments.emulation import EFFECTS, NOTHING, Hidden, LegBody, record_emul
 from experiments.emulation.plant import HiddenTorque, Motion
 from experiments.excite import random_multisine
 from experiments.session import prepare
-from experiments.studies import machine
 from experiments.workflows import diagnose_prepared
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.emulated_legs import RATE_HZ, SPREAD, causes_of, label, leg_of, rig_in
 from tests.evidence.kept import kept

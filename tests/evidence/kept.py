@@ -16,7 +16,7 @@ from typing import ParamSpec, TypeVar
 from tests.support.paths import ROOT
 
 FOLDER = ROOT / "build/evidence"
-SOURCES = ("drivers", "daq", "estimator", "experiments", "legid", "tests/evidence", "tests/support")
+SOURCES = ("drivers", "daq", "estimator", "experiments", "legid", "studies", "tests/evidence", "tests/support")
 P = ParamSpec("P")
 R = TypeVar("R")
 found_again: list[str] = []

@@ -22,10 +22,10 @@ from daq.looks import look
 from daq.runs import RawTable, read_csv
 from daq.timing import align_table
 from estimator import FitError
-from experiments.reports import fit_trust
+from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
-from experiments.studies import machine
 from experiments.workflows import fit_runs
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.known_legs import FAMILIES, HEALTHY
 from tests.evidence.registry import Evidence

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.machine_records import MACHINES, Machine
 from tests.evidence.registry import Evidence

@@ -31,9 +31,9 @@ from daq.rig import load_rig, parse_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import RunWriter, recover
 from daq.runs.mcap_scan import Scan
+from experiments.judge.found_model import model_of
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import load_model
-from experiments.reports.fit_json import model_of
 from experiments.reports.run_info import describe_mcap
 from tests.evidence.kept import kept
 from tests.evidence.mutate_foreign import Make, foreign

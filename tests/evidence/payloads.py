@@ -16,8 +16,8 @@ import numpy as np
 
 from experiments.emulation import LegBody, record_emulated
 from experiments.excite import random_multisine
-from experiments.studies import machine
 from experiments.workflows import find_change
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.emulated_legs import RATE_HZ, leg_of, rig_in
 from tests.evidence.kept import kept

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator import FitError, FitOptions, fit
 from estimator.model import leg2
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.page_file import write_page
 from tests.evidence.registry import Evidence, shares

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.studies import machine
-from experiments.studies.biped3.protocol import OURS, PRINTED, Protocol
-from experiments.studies.biped3.report import figure
-from experiments.studies.biped3.study import (
+from studies import machine
+from studies.biped3.protocol import OURS, PRINTED, Protocol
+from studies.biped3.report import figure
+from studies.biped3.study import (
     BLOCK,
     CASES,
     KNOWN_WLS,
@@ -23,7 +23,7 @@ from experiments.studies.biped3.study import (
     error_of_truth,
     run_block,
 )
-from experiments.studies.biped3.table import LABELS, PAPER
+from studies.biped3.table import LABELS, PAPER
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 

@@ -19,8 +19,8 @@ from daq.rig import parse_rig
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import leg2
 from experiments.session import load_runs
-from experiments.studies import machine
 from experiments.workflows import fit_runs
+from studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.coverage import PIVOT_NM
 from tests.evidence.kept import kept

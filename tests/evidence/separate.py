@@ -40,6 +40,7 @@ from experiments.excite import (
     separate,
     widening_bands,
 )
+from experiments.judge import diagnosed_model
 from experiments.models import (
     Model,
     ParameterValue,
@@ -47,10 +48,10 @@ from experiments.models import (
     build_mechanism,
     mechanism_settings,
 )
-from experiments.reports import diagnosed_model, diagnosis_document
+from experiments.reports import diagnosis_document
 from experiments.session import Setup, prepare, setup_of
-from experiments.studies import machine
 from experiments.workflows import diagnose_prepared
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.emulated_legs import causes_of, label, leg_of, rig_in
 from tests.evidence.kept import kept

@@ -23,7 +23,7 @@ from experiments.session import as_datasets
 from tests.evidence.kept import kept
 from tests.support.paths import REAL, ROOT
 
-FOLDER, RIG = REAL / "bam_xl330", ROOT / "experiments/studies/rigs/bam_xl330_diagnose.toml"
+FOLDER, RIG = REAL / "bam_xl330", ROOT / "studies/rigs/bam_xl330_diagnose.toml"
 TRAIN = ("sin_sin", "up_and_down", "lift_and_drop")
 TEST = ("sin_time_square",)
 MASS_KG, ARM_M, G, STEP_S = 0.49, 0.1, 9.81, 5e-4

@@ -18,7 +18,7 @@ import numpy as np
 import legid
 from daq import Dataset, InputError, Rig, parse_rig
 from estimator import FitError
-from experiments.studies import machine
+from studies import machine
 from tests.evidence import what_changed
 from tests.evidence.blind.records import UNTOUCHED
 from tests.evidence.blind.score import Rate

@@ -20,7 +20,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import Mechanism, chain
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import GRAVITY, multisine

@@ -21,7 +21,7 @@ from experiments.cli import main as legid
 from experiments.models import Model, load_model, save_model
 from experiments.simulators import ExportedLeg, draw_models, simulator_files, write_samples
 from experiments.simulators.parts import HELD
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.page_file import write_page
 from tests.evidence.registry import Evidence

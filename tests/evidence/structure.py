@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from daq import load_rig
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.blind.run import COMMAND, parse_seeds
 from tests.evidence.registry import Evidence, found

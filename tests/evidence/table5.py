@@ -24,7 +24,7 @@ from estimator.model import Mechanism, leg2, simulate
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg

@@ -20,7 +20,7 @@ from daq import load_rig
 from daq.runs import write_csv
 from estimator.model import lag
 from experiments.session import as_datasets
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.known_legs import NAMES

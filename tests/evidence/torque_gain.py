@@ -22,7 +22,7 @@ from experiments.calibrate import calibrate_torque_constant
 from experiments.emulation import LegBody, record_emulated
 from experiments.emulation.hidden_effects import Hidden
 from experiments.excite import staircase
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.paths import DEMO_RIG, ROOT

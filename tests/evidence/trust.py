@@ -20,8 +20,8 @@ import legid
 from daq import Dataset, InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from experiments.session import as_datasets
-from experiments.studies import machine
-from experiments.studies.casebook import RIGS, load_cases
+from studies import machine
+from studies.casebook import RIGS, load_cases
 from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, hidden_at, make

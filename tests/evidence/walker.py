@@ -25,7 +25,7 @@ from estimator.likelihood import Noise
 from estimator.model import biped3
 from estimator.signals import find_touchdowns
 from experiments.cli.main import main as legid
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.cramer_rao import fisher_information, inverse_information

@@ -21,7 +21,7 @@ from estimator import FitOptions
 from estimator.change import Reference, Watch, learn_reference, start_watch
 from estimator.model import leg2
 from estimator.prediction import predict
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind.stickslip import MAKERS
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page

@@ -22,8 +22,8 @@ from estimator import FitError
 from estimator.change import ChangedCause
 from experiments.models import Model
 from experiments.session import as_datasets
-from experiments.studies import machine
 from experiments.workflows import find_change
+from studies import machine
 from tests.evidence.blind.records import COMMANDS, FAULTS, RECORDS, RIGS, UNTOUCHED
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page

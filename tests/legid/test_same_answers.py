@@ -22,7 +22,7 @@ from estimator import Method
 from experiments import cli
 from tests.support.paths import FIXTURES, REAL, ROOT, needs_records
 
-RIGS = ROOT / "experiments/studies/rigs"
+RIGS = ROOT / "studies/rigs"
 OF_THE_CALL = ("provenance", "wall_s")
 """What belongs to the call and not to its answer: the command line, the time it took."""
 QUICK = ("healthy", "gap")

@@ -9,7 +9,7 @@ import pytest
 import legid
 from daq.runs.csv_run import write_csv
 from estimator.prediction import HORIZONS_S
-from experiments.reports import diagnosed_model
+from experiments.judge import diagnosed_model
 from tests.support.mujoco_leg import Leg, record
 
 STIFFNESS = 0.8

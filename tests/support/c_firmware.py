@@ -23,7 +23,7 @@ from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import Decoder, Reaction
 from tests.support.paths import ROOT
 
-SOURCES = ROOT / "drivers" / "mock" / "firmware"
+SOURCES = ROOT / "firmware"
 STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 STEP_US = 500
 PATIENCE_S = 60.0

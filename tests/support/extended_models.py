@@ -15,10 +15,10 @@ from experiments import cli
 from experiments.emulation.hidden_effects import EFFECTS
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
+from experiments.judge.found_model import model_of
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import save_model
 from experiments.models.schema import EffectValue, Model
-from experiments.reports.fit_json import model_of
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 

@@ -52,16 +52,10 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
     from daq import WorkError
     from experiments.console import command_line, stages, warn, write_json
+    from experiments.judge import Files, diagnosed_model
     from experiments.models import load_model, save_model
     from experiments.provenance import origin_of
-    from experiments.reports import (
-        Files,
-        diagnosed_model,
-        diagnosis_document,
-        diagnosis_text,
-        model_with_origin,
-        with_origin,
-    )
+    from experiments.reports import diagnosis_document, diagnosis_text, model_with_origin, with_origin
     from experiments.session import prepare
     from experiments.workflows import as_reference, diagnose_prepared, reference_values, with_reference_terms
 
@@ -101,9 +95,10 @@ def _run_against(args: argparse.Namespace) -> int:
     """Say what changed since the reference runs. Raises `WorkError` with the verdict fit_failed."""
     from daq import InputError, WorkError
     from experiments.console import command_line, write_json
+    from experiments.judge import Files
     from experiments.models import load_model
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import REFERENCE_NAMES, Files, change_document, change_text, with_origin, write_change
+    from experiments.reports import REFERENCE_NAMES, change_document, change_text, with_origin, write_change
     from experiments.workflows import find_change, find_change_since, runs_in
 
     for option, given in (("--model-out", args.model_out), ("--reference", args.reference),

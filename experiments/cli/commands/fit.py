@@ -66,8 +66,9 @@ def run(args: argparse.Namespace) -> int:
     if args.each:
         return _run_each(args)
     from experiments.console import busy, command_line, warn, write_json
+    from experiments.judge import check_sound, fit_trust, model_of
     from experiments.provenance import origin_of
-    from experiments.reports import check_sound, fit_text, fit_trust, model_of, with_origin
+    from experiments.reports import fit_text, with_origin
     from experiments.session import load_runs
     from experiments.workflows import fit_runs
 

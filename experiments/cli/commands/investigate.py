@@ -54,8 +54,9 @@ def run(args: argparse.Namespace) -> int:
 
     from daq import WorkError, load_rig
     from experiments.console import command_line, stages
+    from experiments.judge import Step
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import Step, investigation_text, step_text
+    from experiments.reports import investigation_text, step_text
     from experiments.rig import confirm_estop, confirm_motion, rig_path
     from experiments.workflows import Asked, investigate_rig
 

@@ -6,6 +6,7 @@ import argparse
 
 from estimator import METHODS
 from experiments.cli.arguments import add_force, add_output, whole_number
+from experiments.cli.source_tree import study
 
 CHOICES = (*METHODS, "mle-free", "wls-known")
 MOST_RUNS = 1_000_000
@@ -17,7 +18,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "monte-carlo", help="the simulation study of the paper, Table III",
         description="Simulate noisy records of one step of the three-link walker, fit each by every method, simulate "
                     "the models freely and print Table III next to the paper's numbers. The same command continues an "
-                    "interrupted study.")
+                    "interrupted study. It needs legid's source tree.")
     parser.add_argument("model", choices=("biped3",), help="the walker of section V")
     parser.add_argument("--runs", type=whole_number(1, MOST_RUNS), default=1000, help="runs a case; default: 1000")
     parser.add_argument("--cases", type=_cases, default=(1, 2, 3, 4, 5), metavar="1,2,...",
@@ -42,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_output(parser, "--markdown", "text page", help="write the page as Markdown too, with its pictures next to it")
     add_force(parser)
     parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=lambda args: study("run_monte_carlo")(args))
 
 
 def _cases(text: str) -> tuple[int, ...]:
@@ -58,52 +59,3 @@ def _methods(text: str) -> tuple[str, ...]:
         if part not in CHOICES:
             raise argparse.ArgumentTypeError(f"{part!r} is none of {', '.join(CHOICES)}")
     return tuple(m for m in CHOICES if m in found)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run what is missing, print the table, write what was asked for."""
-    import time
-    from pathlib import Path
-
-    from experiments.console import command_line, work_bar, write_json
-    from experiments.provenance import origin_of
-    from experiments.reports import write_markdown, write_page
-    from experiments.studies import machine, motor_mechanism
-    from experiments.studies.biped3 import (
-        CASES,
-        FLOOR,
-        PROTOCOLS,
-        blocks,
-        make_table,
-        require_parquet,
-        run_study,
-        study_sections,
-        study_summary,
-        study_text,
-        table_document,
-        write_parquet,
-    )
-    from experiments.workflows import choose_executor
-
-    require_parquet()
-    started = time.perf_counter()
-    folder = Path(args.out)
-    protocol = PROTOCOLS[args.protocol]
-    work = blocks([CASES[number - 1] for number in args.cases], [*args.methods, FLOOR], args.runs, args.seed, protocol)
-    with work_bar("fitting", sum(block.count for block in work), "run") as done:
-        results = run_study(work, folder / "blocks", choose_executor(args.workers, args.cluster),
-                            lambda block, count: done(count, f"case {block.case.number} {block.method}"))
-    table = make_table(results, args.seed, protocol)
-    wall_s = time.perf_counter() - started
-    print(study_text(table, wall_s))
-    here = machine()
-    page = "Simulation study of the three-link walker", study_summary(table), study_sections(table, here, args.note)
-    write_page(folder / "report.html", *page)
-    write_parquet(folder / "runs.parquet", results, motor_mechanism().names)
-    if args.json:
-        write_json(args.json, {**table_document(table, wall_s, here),
-                               "provenance": origin_of(seed=args.seed, command=command_line())})
-    if args.markdown:
-        write_markdown(args.markdown, *page)
-    print(f"\nreport: {folder / 'report.html'}\nall runs: {folder / 'runs.parquet'}")
-    return 0

@@ -44,9 +44,10 @@ def run(args: argparse.Namespace) -> int:
     """Test, print a line a run, write what was asked for after each."""
     from daq import InputError
     from experiments.console import busy, command_line, note, warn, write_json
+    from experiments.judge import Watched
     from experiments.models import load_model
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import Watched, line_text, watch_document, watch_summary, write_watch
+    from experiments.reports import line_text, watch_document, watch_summary, write_watch
     from experiments.workflows import arrivals, runs_in, watcher_of
 
     models = [path for path in args.against if path.lower().endswith(".json")]

@@ -9,8 +9,8 @@ from daq.dataset import Dataset
 from estimator.calibration.distance_meter import DistanceMeter, angle_record
 from estimator.errors import FitError
 from estimator.fitting.fit import fit
-from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth
-from experiments.studies.walker import motor_mechanism, one_step
+from studies.biped3.study import CASES, case_options, noisy_record, truth
+from studies.walker import motor_mechanism, one_step
 
 METER = DistanceMeter(mount_m=0.6, gamma_rad=0.5, sigma_m=1e-3, sigma_per_m=2e-3)
 

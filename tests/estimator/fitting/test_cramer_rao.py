@@ -5,10 +5,10 @@ import pytest
 
 from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
-from experiments.studies.biped3.bound import exact_bound
-from experiments.studies.biped3.protocol import TORQUE_VARIANCE
-from experiments.studies.biped3.study import CASES, truth
-from experiments.studies.walker import motor_mechanism, one_step
+from studies.biped3.bound import exact_bound
+from studies.biped3.protocol import TORQUE_VARIANCE
+from studies.biped3.study import CASES, truth
+from studies.walker import motor_mechanism, one_step
 from tests.support.cramer_rao import cramer_rao
 
 

@@ -10,8 +10,8 @@ from estimator.fitting.fit_each import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth
-from experiments.studies.walker import motor_mechanism, one_step
+from studies.biped3.study import CASES, case_options, noisy_record, truth
+from studies.walker import motor_mechanism, one_step
 from tests.support.mujoco_leg import Leg, record
 
 FREE = np.ones(9, dtype=bool)

@@ -12,9 +12,9 @@ from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signals.filters import central_difference, lowpass
 from estimator.signals.segments import split_signals
-from experiments.studies.biped3.study import CASES, case_options, noisy_record
-from experiments.studies.rk4_free_run import free_runs
-from experiments.studies.walker import motor_mechanism, one_step
+from studies.biped3.study import CASES, case_options, noisy_record
+from studies.rk4_free_run import free_runs
+from studies.walker import motor_mechanism, one_step
 from tests.support.mujoco_leg import Leg, record
 
 

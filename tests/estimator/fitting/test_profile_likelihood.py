@@ -11,8 +11,8 @@ from estimator.likelihood.batch_likelihood import BatchProblem, Records
 from estimator.likelihood.measured_runs import slack_of
 from estimator.model.collocation import Collocation
 from estimator.signals.segments import split_signals
-from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth
-from experiments.studies.walker import motor_mechanism, one_step
+from studies.biped3.study import CASES, case_options, noisy_record, truth
+from studies.walker import motor_mechanism, one_step
 
 MECHANISM = motor_mechanism()
 

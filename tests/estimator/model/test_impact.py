@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from estimator.model import biped3, land
-from experiments.studies.walker import CONSTRAINT_TANGENT, IMPACT_RAD, TORSO_RAD, impact, true_parameters
+from studies.walker import CONSTRAINT_TANGENT, IMPACT_RAD, TORSO_RAD, impact, true_parameters
 from tests.support.walker_plant import Plant, Walker, random_walker
 
 IN_HIPS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 1.0]])

@@ -19,7 +19,7 @@ from typing import Any
 
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.parallel import cores, worker_pool
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind.page import COLUMNS, answer_file, read, tables
 from tests.evidence.blind.plan import FAMILIES, RECORDS, PlannedCase, choose, here, one_round, plan
 from tests.evidence.blind.run import diagnose, failed, keep, parse_seeds

@@ -19,7 +19,7 @@ from tests.evidence.blind.score import PRESENT, Outcome, Rate, same
 from tests.evidence.blind.servo import effect, is_made
 from tests.support.paths import REAL, ROOT
 
-RIGS = ROOT / "experiments/studies/rigs"
+RIGS = ROOT / "studies/rigs"
 UNTOUCHED = "untouched"
 COMMANDS = {"goal_rad": "q1_cmd_rad"}
 """Column of a record to that of the contract."""

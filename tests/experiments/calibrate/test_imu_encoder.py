@@ -13,7 +13,7 @@ from experiments.calibrate.imu_encoder import compare, read_moving
 from experiments.cli import main
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.excite.multisine import random_multisine
-from experiments.studies.casebook import RIGS
+from studies.casebook import RIGS
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.paths import DEMO_RIG, REAL
 

@@ -20,7 +20,7 @@ from tests.support.models import write_model
 from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
 
-RIG = str(ROOT / "experiments/studies/rigs/dfki_diagnose.toml")
+RIG = str(ROOT / "studies/rigs/dfki_diagnose.toml")
 ARM = REAL / "dfki_a0"
 
 

@@ -25,9 +25,9 @@ from experiments import cli
 from experiments.cli.main import GROUPS
 from experiments.emulation.plant import LegBody, LegPlant
 from experiments.excite.multisine import random_multisine
+from experiments.judge.found_model import model_of
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import save_model
-from experiments.reports.fit_json import model_of
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT

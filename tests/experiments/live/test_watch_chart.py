@@ -14,9 +14,10 @@ import pytest
 from daq.rig import read_rig_file
 from daq.runs import RunWriter, started_at
 from estimator.change import Block, WatchedRun
+from experiments.judge import Watched
 from experiments.live.bench import Bench
 from experiments.live.watch_chart import Mark, anchor, draw_marks, explain_marks, read_marks
-from experiments.reports import Watched, watch_document
+from experiments.reports import watch_document
 from tests.support.paths import DEMO_RIG
 
 DAY = datetime(2026, 3, 2, 9, 30, tzinfo=UTC)

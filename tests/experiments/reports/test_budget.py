@@ -13,10 +13,11 @@ from daq import InputError, parse_rig
 from estimator.fitting import next_measurement
 from estimator.model import leg2
 from estimator.result import Budget, BudgetPart, FitResult
+from experiments.judge import fit_trust, model_of, with_fit_trust
+from experiments.judge.trust import Trust
 from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
-from experiments.reports import fit_document, fit_sections, fit_text, fit_trust, model_of, with_fit_trust
+from experiments.reports import fit_document, fit_sections, fit_text
 from experiments.reports.html import render_page
-from experiments.reports.trust import Trust
 from experiments.rig.writer import RigFacts, rig_toml
 from experiments.session.setup import stated_tolerances
 from tests.support.fits import synthetic_fit

@@ -12,12 +12,12 @@ from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
 from estimator.result import Finding, FitResult, RunAgreement
 from experiments.emulation.plant import LegBody
+from experiments.judge.numbers import estimates_of, number
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, render_page, typeset
-from experiments.reports.numbers import estimates_of, number
 from tests.support.fits import synthetic_fit
 from tests.support.pages import Outside, allowed_script
 

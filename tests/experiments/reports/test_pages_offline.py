@@ -14,20 +14,20 @@ from estimator.result import RunAgreement
 from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
+from experiments.judge.found_model import model_of
+from experiments.judge.numbers import estimates_of
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import save_model
 from experiments.provenance import origin_of
 from experiments.reports.chart import Line
 from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
 from experiments.reports.figures import BLUE, picture_lines
-from experiments.reports.fit_json import model_of
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.html import Section, Table, write_page
-from experiments.reports.numbers import estimates_of
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
-from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
-from experiments.studies.casebook_page import write_casebook
+from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
+from studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
 from tests.support.fits import synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser

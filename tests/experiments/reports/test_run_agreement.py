@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from estimator.result import FitResult, RunAgreement
+from experiments.judge.trust import fit_trust
 from experiments.models.schema import MechanismSettings
 from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_page import fit_sections
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import render_page
-from experiments.reports.trust import fit_trust
 from tests.support.fits import synthetic_fit
 
 RUNS = ("a.csv", "b.csv", "c.csv")

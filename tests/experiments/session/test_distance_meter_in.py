@@ -14,8 +14,8 @@ from daq.timing.align import align, recorded_rig
 from estimator.calibration.distance_meter import DistanceMeter
 from estimator.fitting.fit import fit
 from experiments.session import prepare
-from experiments.studies.biped3.study import CASES, case_options, noisy_record
-from experiments.studies.walker import one_step
+from studies.biped3.study import CASES, case_options, noisy_record
+from studies.walker import one_step
 from tests.support.paths import FIXTURES
 
 RIG = """[mechanism]

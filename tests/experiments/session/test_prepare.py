@@ -11,9 +11,9 @@ from daq.errors import InputError
 from daq.rig import load_rig, parse_rig
 from daq.runs.csv_run import read_csv
 from estimator.result import Finding
+from experiments.judge.trust import fit_trust
 from experiments.models import mechanism_settings
 from experiments.reports.fit_json import fit_document
-from experiments.reports.trust import fit_trust
 from experiments.session import prepare
 from experiments.session.flags import contradictions, require_one_rig
 from experiments.session.runs import load_runs

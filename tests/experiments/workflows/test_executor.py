@@ -15,9 +15,9 @@ import pytest
 
 from daq.errors import InputError, WorkError
 from experiments.cli import main
-from experiments.studies.biped3.store import load_block
-from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
+from studies.biped3.store import load_block
+from studies.biped3.study import CASES, FLOOR, blocks, run_block
 from tests.evidence.blind.stickslip import MAKERS
 from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT

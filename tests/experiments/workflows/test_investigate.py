@@ -20,7 +20,8 @@ from estimator.diagnosis.result import Cause, SizeEstimate
 from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.excite import Search
-from experiments.reports import Investigation, diagnosis_figures, figures
+from experiments.judge import Investigation
+from experiments.reports import diagnosis_figures, figures
 from experiments.workflows import Asked, fit_runs, investigate, investigate_rig
 from experiments.workflows.time_budget import Clock, End, Spent
 from tests.support.diagnoses import NAMES, synthetic

@@ -17,7 +17,7 @@ from daq.runs import read_run
 from daq.timing import recorded_rig
 from estimator.fitting import mle, start_state
 from estimator.likelihood import State
-from experiments.reports import fit_trust
+from experiments.judge import fit_trust
 from experiments.session import load_runs
 from experiments.workflows import Fitted, fit_runs
 from tests.support.paths import FIXTURES, REAL, needs_records

@@ -19,23 +19,12 @@ from experiments import cli
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
 from experiments.excite.multisine import random_multisine
-from experiments.reports.comparison import (
-    Comparison,
-    HorizonError,
-    comparison_document,
-    comparison_text,
-    comparison_trust,
-)
+from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
+from experiments.judge.residuals import autocorrelation, cross_correlation, fit_percent, residuals_of, torque_step
+from experiments.judge.trust import fit_trust, validation_trust
+from experiments.reports.comparison import comparison_document, comparison_text
 from experiments.reports.comparison_page import comparison_sections
-from experiments.reports.html import render_page
-from experiments.reports.residual_tests import (
-    autocorrelation,
-    cross_correlation,
-    fit_percent,
-    residuals_of,
-    torque_step,
-)
-from experiments.reports.trust import fit_trust, validation_trust
+from experiments.reports.html import render_page, trust_box
 from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
@@ -140,10 +129,10 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert fit_trust(sound).sentence.startswith("TRUST the parameters")
     found = fit_trust(noisy)
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
-    box = found.verdict()
+    box = trust_box(found)
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
     long = replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
-    assert long.verdict().title == "B IS BETTER" and long.verdict().lines[0].startswith("Word word")
+    assert trust_box(long).title == "B IS BETTER" and trust_box(long).lines[0].startswith("Word word")
 
 
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
@@ -247,4 +236,4 @@ def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     assert comparison_trust(found).sentence.startswith(words)
     text, document = comparison_text(found), comparison_document(found)
     assert "nan" not in text.replace("scan", "") and document["trust"]["sentence"].startswith(words)
-    assert "data-tone" in render_page("t", "s", comparison_sections(found), verdict=comparison_trust(found).verdict())
+    assert "data-tone" in render_page("t", "s", comparison_sections(found), verdict=trust_box(comparison_trust(found)))

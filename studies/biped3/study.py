@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator import METHODS, FitError, FitOptions, Method
 from estimator.fitting import fit_each
-from experiments.studies.biped3.likelihood import likelihood_ratio
-from experiments.studies.biped3.protocol import OURS, TORQUE_VARIANCE, Protocol
-from experiments.studies.rk4_free_run import free_runs
-from experiments.studies.walker import MOTOR_ANGLES, Step, motor_mechanism, true_parameters
+from studies.biped3.likelihood import likelihood_ratio
+from studies.biped3.protocol import OURS, TORQUE_VARIANCE, Protocol
+from studies.rk4_free_run import free_runs
+from studies.walker import MOTOR_ANGLES, Step, motor_mechanism, true_parameters
 
 BoolArray = NDArray[np.bool_]
 BLOCK = 50

@@ -13,9 +13,10 @@ from estimator.fitting.fit import fit
 from estimator.fitting.wls import around_samples, design_rows
 from estimator.signals.segments import split_signals
 from experiments.cli import main
-from experiments.studies.biped3 import store, study
-from experiments.studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
-from experiments.studies.biped3.study import (
+from experiments.workflows.executor import SerialExecutor
+from studies.biped3 import store, study
+from studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
+from studies.biped3.study import (
     CASES,
     FLOOR,
     KNOWN_WLS,
@@ -28,9 +29,8 @@ from experiments.studies.biped3.study import (
     run_block,
     truth,
 )
-from experiments.studies.biped3.table import PAPER, bound, make_table, table_document
-from experiments.studies.walker import motor_mechanism, one_step
-from experiments.workflows.executor import SerialExecutor
+from studies.biped3.table import PAPER, bound, make_table, table_document
+from studies.walker import motor_mechanism, one_step
 
 
 def test_noise_is_that_of_table_ii_and_depends_on_seed_case_and_run_alone() -> None:
@@ -73,8 +73,8 @@ def test_mle_is_near_its_bound_and_best_of_four() -> None:
 def test_differences_alone_leave_the_error_that_the_paper_prints() -> None:
     """Noise-free record, Table II's first column: 1.22 against the 1.15 to 1.24 of Table III."""
     from estimator.signals.filters import central_difference
-    from experiments.studies.rk4_free_run import free_runs
-    from experiments.studies.walker import MOTOR_ANGLES, motor_mechanism
+    from studies.rk4_free_run import free_runs
+    from studies.walker import MOTOR_ANGLES, motor_mechanism
 
     step, mechanism = one_step().in_motor_angles(), motor_mechanism()
     qd = central_difference(step.q, 0.01, 2)

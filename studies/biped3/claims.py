@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import METHODS
-from experiments.studies.biped3.study import CASES, FLOOR
-from experiments.studies.biped3.table import LABELS, Cell, Table
+from studies.biped3.study import CASES, FLOOR
+from studies.biped3.table import LABELS, Cell, Table
 
 CLEAN = (1, 2, 3)
 """Cases in which angles are good enough for the floor to be in reach."""

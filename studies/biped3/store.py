@@ -14,8 +14,8 @@ import numpy as np
 
 from daq import InputError, write_file
 from experiments.console import make_directory
-from experiments.studies.biped3.study import Block, BlockResult, run_block
 from experiments.workflows import Executor
+from studies.biped3.study import Block, BlockResult, run_block
 
 FIELDS = ("beta", "std", "error", "converged", "failed", "likelihood_ratio")
 STUDY_CODE = ("rk4_free_run.py", "walker.py", "biped3/study.py", "biped3/protocol.py", "biped3/likelihood.py")
@@ -25,7 +25,7 @@ STUDY_CODE = ("rk4_free_run.py", "walker.py", "biped3/study.py", "biped3/protoco
 def program() -> str:
     """Fingerprint of the code that makes results: those of other code are done again, never mixed in."""
     sources = [*sorted(Path(str(files("estimator"))).rglob("*.py")),
-               *(Path(str(files("experiments.studies"))) / name for name in STUDY_CODE)]
+               *(Path(str(files("studies"))) / name for name in STUDY_CODE)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
 
 

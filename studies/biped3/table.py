@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from daq import FloatArray
-from experiments.studies.biped3.bound import exact_bound
-from experiments.studies.biped3.protocol import OURS, Protocol
-from experiments.studies.biped3.study import (
+from studies.biped3.bound import exact_bound
+from studies.biped3.protocol import OURS, Protocol
+from studies.biped3.study import (
     CASES,
     FLOOR,
     KNOWN_WLS,
@@ -26,7 +26,7 @@ from experiments.studies.biped3.study import (
     error_of_truth,
     truth,
 )
-from experiments.studies.walker import motor_mechanism
+from studies.walker import motor_mechanism
 
 LABELS = {"mle": "MLE", PAPERS_MLE: "MLE of the paper", "wls": "WLS-FCD",
           KNOWN_WLS: "WLS-FCD, known weights", "rls": "RLS", "hekf": "HEKF", FLOOR: "floor"}
@@ -67,7 +67,7 @@ class Cell:
     mse_over_bound_all_directions: float
     """tr(C^-1 M) / 8: the mean squared error M over the bound C, averaged over directions instead of parameters"""
     likelihood_ratio: float
-    """mean of `experiments.studies.biped3.likelihood`, 8 for an efficient estimator; NaN for methods other than mle"""
+    """mean of `studies.biped3.likelihood`, 8 for an efficient estimator; NaN for methods other than mle"""
     joint_coverage: float
     """share of the runs whose 95 % likelihood region holds the truth"""
     false_minima: int

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from experiments.cli import main
-from experiments.studies.biped3 import store
-from experiments.studies.biped3.store import run_study
-from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import SerialExecutor
+from studies.biped3 import store
+from studies.biped3.store import run_study
+from studies.biped3.study import CASES, FLOOR, blocks, run_block
 from tests.support.processes import REAL_CLOCK, of_session, start_python, until
 
 pytestmark = REAL_CLOCK

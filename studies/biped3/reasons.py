@@ -1,15 +1,15 @@
 """Why a study's numbers differ from the paper's; figures in the sentences are the study's own where it has them.
 
-The others are held by tests/experiments/studies/test_study.py.
+The others are held by tests/studies/test_study.py.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from experiments.studies.biped3.claims import in_words
-from experiments.studies.biped3.study import PAPERS_MLE
-from experiments.studies.biped3.table import LABELS, Cell, Table
+from studies.biped3.claims import in_words
+from studies.biped3.study import PAPERS_MLE
+from studies.biped3.table import LABELS, Cell, Table
 
 
 def reasons(table: Table) -> list[str]:

@@ -11,8 +11,8 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.model import Mechanism
-from experiments.studies.rk4_free_run import advance
-from experiments.studies.walker import Step
+from studies.rk4_free_run import advance
+from studies.walker import Step
 
 SUBSTEPS = 4
 NUDGE = 1e-6

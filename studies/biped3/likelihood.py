@@ -16,7 +16,7 @@ from estimator import FitOptions
 from estimator.fitting import known_noise
 from estimator.likelihood import BatchProblem, Records
 from estimator.signals import split_signals
-from experiments.studies.walker import Step, motor_mechanism
+from studies.walker import Step, motor_mechanism
 
 STEPS = 12
 CONVERGED = 1e-6

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.calibrate import CHECK, FOUND, check_rows, found_rows, open_terms
+from experiments.judge import number
 from experiments.reports import (
     BLUE,
     ORANGE,
@@ -19,7 +20,6 @@ from experiments.reports import (
     error_rows,
     gap_text,
     key_label,
-    number,
     picture_lines,
     short_tables,
     signature_limits,
@@ -29,7 +29,7 @@ from experiments.reports import (
     validation_rows,
     write_page,
 )
-from experiments.studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
+from studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
 
 SECONDS = 12.0
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-from experiments.studies.walker import BANDWIDTH, Step, one_step, one_step_continuous
+from studies.walker import BANDWIDTH, Step, one_step, one_step_continuous
 
 TORQUE_VARIANCE = 0.1
 """sigma_u^2 of both motors by Table II [N^2 m^2]"""
@@ -34,7 +34,7 @@ class Protocol:
     """sigma_u^2 of both motors [N^2 m^2]"""
     passive_nm: float = 0.03
     """Standard deviation that stands for the stance foot's exact zero [N m]: a tenth of the motors' noise. MLE does not
-    hinge on it (tests/experiments/studies/test_study.py); the paper's MLE, WLS with known weights and RLS do."""
+    hinge on it (tests/studies/test_study.py); the paper's MLE, WLS with known weights and RLS do."""
     torque_filtered: bool = False
     """The torque is low-passed like the absolute angle, (34)."""
     spacing: Literal["n_cd", "half", "half up"] = "n_cd"

@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 
 from daq import FloatArray
 from estimator.model import Mechanism, biped3
-from experiments.studies.rk4_free_run import advance
+from studies.rk4_free_run import advance
 
 MASS, HIP, TORSO, LEG, TORSO_LENGTH, GRAVITY = 5.0, 15.0, 10.0, 1.0, 0.5, 9.8
 """m, M_H, M_T [kg], r, l [m], g [m/s2]: the numerical example of Grizzle et al.; (57) lumps hip and torso."""
@@ -36,7 +36,7 @@ BANDWIDTH = 10.0
 """Natural frequency of the constraint errors [rad/s]: slow against the 100 Hz of the hold."""
 PERIOD_S, DURATION_S = 0.01, 0.68
 SUBSTEPS = 20
-"""Integration steps a sample; the trajectory's error is below 1e-10 rad (tests/experiments/studies/test_walker.py)."""
+"""Integration steps a sample; the trajectory's error is below 1e-10 rad (tests/studies/test_walker.py)."""
 UNACTUATED = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 """Generalised torque of (tau2, tau3); the stance foot carries none."""
 CONSTRAINTS = np.array([[2.0, 1.0, 0.0], [1.0, 0.0, 1.0]])

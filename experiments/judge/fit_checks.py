@@ -11,10 +11,10 @@ import numpy as np
 
 from estimator import Finding, FitResult
 from estimator.prediction import repeated_share, state_columns, taken
-from experiments.reports.prior_knowledge import contradictions_of
-from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
-from experiments.reports.run_agreement import disputed, units
-from experiments.reports.second_opinion import disagreement
+from experiments.judge.agreement import disputed, units
+from experiments.judge.opinion import disagreement
+from experiments.judge.prior import contradictions_of
+from experiments.judge.residuals import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
 
 STRUCTURE = 0.3
 """Correlation of a driven joint's torque residual, at any of 25 lags, beyond which the model lacks something."""

@@ -11,10 +11,10 @@ from estimator.fitting.profile_likelihood import known_noise, search
 from estimator.likelihood.batch_likelihood import BatchProblem, Records
 from estimator.signals.segments import split_signals
 from experiments.cli import main
-from experiments.studies.biped3.claims import claims, in_words
-from experiments.studies.biped3.likelihood import likelihood_ratio, smallest_misfit
-from experiments.studies.biped3.reasons import reasons
-from experiments.studies.biped3.study import (
+from studies.biped3.claims import claims, in_words
+from studies.biped3.likelihood import likelihood_ratio, smallest_misfit
+from studies.biped3.reasons import reasons
+from studies.biped3.study import (
     CASES,
     FLOOR,
     PAPERS_MLE,
@@ -27,8 +27,8 @@ from experiments.studies.biped3.study import (
     simulation_errors,
     truth,
 )
-from experiments.studies.biped3.table import Table, make_table
-from experiments.studies.walker import CONSTRAINT_TANGENT, after_impact, motor_mechanism, one_step, periodic_rate, walk
+from studies.biped3.table import Table, make_table
+from studies.walker import CONSTRAINT_TANGENT, after_impact, motor_mechanism, one_step, periodic_rate, walk
 
 STEP = one_step().in_motor_angles()
 MECHANISM = motor_mechanism()

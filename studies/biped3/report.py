@@ -11,12 +11,12 @@ from experiments.console import text_table
 from experiments.provenance import program_version
 from experiments.reports import BLUE, GREEN, GREY, ORANGE, Line, Picture, Section, plot_lines
 from experiments.reports import Table as PageTable
-from experiments.studies.biped3.claims import claims
-from experiments.studies.biped3.protocol import OURS
-from experiments.studies.biped3.reasons import reasons
-from experiments.studies.biped3.study import BLOCK, FLOOR, KNOWN_WLS, PAPERS_MLE, Case, truth
-from experiments.studies.biped3.table import LABELS, PAPER, Cell, Table
-from experiments.studies.walker import motor_mechanism
+from studies.biped3.claims import claims
+from studies.biped3.protocol import OURS
+from studies.biped3.reasons import reasons
+from studies.biped3.study import BLOCK, FLOOR, KNOWN_WLS, PAPERS_MLE, Case, truth
+from studies.biped3.table import LABELS, PAPER, Cell, Table
+from studies.walker import motor_mechanism
 
 COLOURS = {"mle": ORANGE, PAPERS_MLE: "#b5485d", "wls": BLUE, KNOWN_WLS: "#6aa5d8",
            "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}

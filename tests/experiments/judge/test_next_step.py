@@ -11,10 +11,10 @@ from estimator import VERDICTS, Verdict
 from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
+from experiments.judge.next_steps import RECORD, SENSORS, Files, next_step, variable_of, with_names
 from experiments.reports.diagnosis_json import diagnosis_document
 from experiments.reports.diagnosis_page import verdict_box
 from experiments.reports.diagnosis_text import diagnosis_text
-from experiments.reports.next_step import RECORD, SENSORS, Files, next_step, variable_of, with_names
 from tests.support.diagnoses import synthetic
 
 

@@ -8,19 +8,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
+from experiments.judge.agreement import units
+from experiments.judge.budget import precision
+from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.models import MechanismSettings, TrustValues
-from experiments.reports.budget import precision
-from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
-from experiments.reports.html import Level, VerdictBox
-from experiments.reports.run_agreement import units
 
+Level = Literal["good", "caution", "bad"]
+"""How far an answer can be relied on."""
 HEADLINE = 130
 """Most letters of a box's title; of a longer sentence it is the part before the colon."""
 NAMED = 2
@@ -48,11 +49,11 @@ class Trust:
         """For the JSON documents."""
         return {"level": self.level, "sentence": self.sentence, "reasons": list(self.reasons)}
 
-    def verdict(self, warnings: Sequence[str] = ()) -> VerdictBox:
-        """For the head of a page."""
+    @property
+    def headline(self) -> tuple[str, list[str]]:
+        """Title and lines of a box: of a long sentence the part before its colon, and the rest before the reasons."""
         title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
-        lines = [_line(rest).removesuffix(".")] if rest else []
-        return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
+        return title, [*([_line(rest).removesuffix(".")] if rest else []), *self.reasons]
 
 
 def fit_trust(result: FitResult) -> Trust:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.model.mechanism import biped3
-from experiments.studies import walker
-from experiments.studies.rk4_free_run import advance, free_runs
+from studies import walker
+from studies.rk4_free_run import advance, free_runs
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from daq.rig import load_rig
 from estimator import Verdict
 from estimator.diagnosis.result import Cause, Diagnosis
 from experiments.cli import main
-from experiments.studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
-from experiments.studies.casebook_page import study_text
+from studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
+from studies.casebook_page import study_text
 from tests.support.pages import allowed_script
 from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
