@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation timing trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation lab-chain timing trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -198,6 +198,10 @@ changed-families: $(STAMP)
 # Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
 simulators: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
+
+# A lab's signal chain, all small faults of its sensors at once: twenty minutes.
+lab-chain: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence lab_chain --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/lab-chain.md
 
 # Causes of emulated legs undone by their drives: two minutes.
 compensation: $(STAMP)

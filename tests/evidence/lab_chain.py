@@ -21,7 +21,7 @@ import legid
 from daq import load_rig
 from daq.runs import write_csv
 from experiments.session import as_datasets
-from experiments.studies import machine
+from studies import machine
 from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.known_legs import NAMES
@@ -133,7 +133,7 @@ def page(minutes: float, seed: int) -> Iterator[str]:
         f"- Trusted fits more than 10 % off: {share([a.worst > 10.0 for a in trusted])} (none wanted).",
         f"- Named springs within their intervals: {share(springs)}.", "",
         "A name counts as there if the fault exceeds two standard deviations. A spring at a pivot that swings little "
-        "is nearly the function of its gravity term; the error before says whether it matters.", "",
+        "is nearly the function of its gravity term; the error before says whether it is material.", "",
         f"| {' | '.join(COLUMNS)} |", f"|{' --- |' * len(COLUMNS)}", *map(_row, found), ""]
 
 
