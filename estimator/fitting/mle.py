@@ -160,11 +160,11 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
 
 
 class BetweenSamples(NamedTuple):
-    """How the torque acts between samples, as `fit_mle` takes it."""
+    """Hold, friction smoothing velocities and delay of a torque between samples, as `fit_mle` takes them."""
 
     hold: str
     mechanism: Mechanism
-    """With its friction smoothing velocities."""
+    """With these velocities."""
     delay_s: float = 0.0
     """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
 
