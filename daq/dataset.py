@@ -49,6 +49,9 @@ class Dataset:
     """The rig file that a native run holds."""
     torque_delay_s: float = 0.0
     """By how much its torques were moved, from when they were measured to when they act [s]."""
+    imu_age_s: float | None = None
+    """By how much the readings of its IMU were moved, from their stamps to when they were true, of several the largest
+    [s]; None: they are where they are stamped."""
     loops: Mapping[int, Loop] = field(default_factory=dict)
     """Joint, from 1, to the position loop that it follows."""
     by_law: tuple[int, ...] = ()

@@ -18,13 +18,13 @@ from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
 from daq.rig_columns import Column
 from daq.rig_devices import NODES, Devices
+from daq.rig_imu import Imu
 from daq.rig_limits import Limits
 from daq.rig_sampling import Filter, Sampling, Timing
 from daq.rig_types import (
     IDENTITY3,
     Correlation,
     Joint,
-    Length,
     Matrix3,
     NonNegative,
     Positive,
@@ -69,17 +69,6 @@ class Terms(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     None: 0.005 rad/s; a fit chooses a thousandth of its speed on a slide.
     """
-
-
-class Imu(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One IMU, or one of several under [[imu]], whose columns are numbered in this order."""
-
-    link: Joint = 1
-    lever_arm_m: Length = 0.0
-    """From the link's joint to the IMU along it."""
-    gyro_radps: Positive | None = None
-    """Its own noise levels, which go before those of [noise]."""
-    accel_mps2: Positive | None = None
 
 
 class DistanceMeter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -211,6 +200,9 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
         half = self.calibration.torque_constant_half_nm_per_a
         if half is not None and "none" not in found:
             found.setdefault("torque_gain", (half / 1.96 / self.calibration.torque_constant_nm_per_a,))
+        ages = [imu.age for imu in self.imus if imu.age is not None]
+        if ages and "none" not in found:
+            found.setdefault("sensor_time_skew", (max(age.std_s for age in ages),))
         own = {} if self.servo is None or "none" in found else self.servo.tolerances
         return {**own, **found}
 
@@ -318,6 +310,9 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, *wrong)
     if not rig.imus:
         raise InputError(where, "imu is an empty list", "give a table [[imu]] for each IMU, or take the key out")
+    for lack in (imu.lack for imu in rig.imus):
+        if lack is not None:
+            raise InputError(where, *lack)
     controller = rig.devices.controller
     if controller is not None and controller.node >= NODES and controller.kind == "legid":
         raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to "

@@ -17,8 +17,8 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
 """Floor to the floors that it may import."""
 ROOMS = {
     "daq": [["errors", "files", "findings", "dataset", "imu_mount", "loop", "mechanisms", "rig", "rig_columns",
-             "rig_devices", "rig_limits", "rig_sampling", "rig_text", "rig_types", "servo", "si_units"], ["runs"],
-            ["looks"], ["timing"], ["recording"], ["calibration"]],
+             "rig_devices", "rig_imu", "rig_limits", "rig_sampling", "rig_text", "rig_types", "servo", "si_units"],
+            ["runs"], ["looks"], ["timing"], ["recording"], ["calibration"]],
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs", "loops"], ["fitting"],
                   ["prediction"], ["diagnosis", "calibration", "change"]],

@@ -76,7 +76,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             tests = {split.names[i] for i in split.test}  # they choose nothing
             place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
             seen = sorted((d for d in datasets if d.name not in tests), key=lambda d: place.get(d.name, 0))
-            hold, mechanism = between_samples(seen, mechanism, options)
+            hold, mechanism, _ = between_samples(seen, mechanism, options)
             seeks = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             split = replace(split, mechanism=mechanism, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))

@@ -19,7 +19,7 @@ from daq import FloatArray
 from estimator.effects.commanded import Commanded
 from estimator.errors import FitError
 from estimator.model import Mechanism
-from estimator.signals import Channel
+from estimator.signals import Channel, shifted
 
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
@@ -143,11 +143,9 @@ class View:
 
     def shifted(self, x: FloatArray, delay_s: float) -> FloatArray:
         """x(t - delay) at the samples (N,), cubic spline within each segment, its ends held."""
-        from scipy.ndimage import shift
-
         out = np.empty_like(x)
         for where in self.segments():
-            out[where] = shift(x[where], delay_s / self.dt_s, order=3, mode="nearest")
+            out[where] = shifted(x[where], delay_s / self.dt_s)
         return out
 
     def segments(self) -> list[slice]:

@@ -8,15 +8,11 @@ from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.sensor_effects import TorqueSensorEffect
 from estimator.model import Mechanism
-from estimator.signals import Channel, torque_of
+from estimator.signals import Channel, delayed, torque_of
 
 
 class TorqueDelay(TorqueSensorEffect):
-    """reading(t) = u(t - d).
-
-    Of the reading only what is slow is moved by parts of a sample: noise that falls between samples is averaged, and an
-    estimate would be drawn to half a sample for it. What is fast, such as a controller's steps, moves by whole samples.
-    """
+    """reading(t) = u(t - d), with a record by `delayed`."""
 
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001, tolerance=5e-4),)
@@ -40,9 +36,9 @@ class TorqueDelay(TorqueSensorEffect):
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         if view.measured is None:
             return {torque_of(j): view.delayed(view.samples.u[j], None, size[0]) for j in self.driven(view)}
-        found, whole_s = {}, view.dt_s * np.trunc(size[0] / view.dt_s)
+        found = {}
         for channel in (torque_of(j) for j in self.driven(view)):
-            slow = view.measured.slow[channel]
-            fast = view.measured.readings[channel] - slow
-            found[channel] = view.delayed(slow, slow, size[0]) + (view.delayed(fast, fast, whole_s) if whole_s else 0.0)
+            y, slow = view.measured.readings[channel], view.measured.slow[channel]
+            found[channel] = y - np.concatenate([delayed(y[part], slow[part], -size[0] / view.dt_s)
+                                                 for part in view.segments()])
         return found

@@ -12,7 +12,7 @@ from estimator.errors import FitError, ScaleError
 from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
-from estimator.fitting.mle import find_hold, fit_mle
+from estimator.fitting.mle import BetweenSamples, find_between, fit_mle
 from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
@@ -58,22 +58,22 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
                                                    if not seen & {name for name, _ in found.amounts})))
 
 
-def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
-    """(hold, mechanism with its friction smoothing velocities), as stated, or estimated where `options` say auto.
+def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
+    """Hold, friction smoothing velocities and delay, as stated, or estimated where `options` say auto.
 
     If no fit converges, the starting values.
     """
     if AUTO not in (options.hold, options.smoothing_velocity):
-        return options.hold, mechanism
+        return BetweenSamples(options.hold, mechanism)
     options = replace(options, noise={})
     try:
         if options.prior:
             check_known(mechanism, options.prior)
         require_scale(datasets, mechanism, options)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that diverges raises
-            return find_hold(datasets, mechanism, options)
+            return find_between(datasets, mechanism, options)
     except FitError:
-        return FIRST if options.hold == AUTO else options.hold, mechanism
+        return BetweenSamples(FIRST if options.hold == AUTO else options.hold, mechanism)
 
 
 def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method) -> FitResult:

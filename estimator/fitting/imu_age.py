@@ -80,21 +80,21 @@ def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], fr
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
+    late = skew + age_s
     if bound_s == 0.0:
-        late = skew + age_s
         told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
                 f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
         return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
             state, None, "this motion does not determine how late the IMU is")
     if not again.converged or std > bound_s:
-        return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
-                             "does not determine it better")
-    if abs(skew) > bound_s:
-        return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
-                             f"clocks' {bound_s * 1e6:.0f} us. This is not corrected, because something else is wrong: "
-                             "run legid diagnose")
-    told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
-            f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
+        return state, None, (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the "
+                             "motion does not determine it better")
+    if abs(late) > bound_s:
+        return state, None, (f"the IMU would fit best {_late(late)} against the controller, more than the "
+                             f"{bound_s * 1e6:.0f} us that clocks and [imu] leave open. This is not corrected, because "
+                             "something else is wrong: run legid diagnose")
+    told = (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
+            f"(known: within {bound_s * 1e6:.0f} us); corrected")
     return _skewed(state, again), skew, told
 
 

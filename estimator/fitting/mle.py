@@ -159,12 +159,24 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
                    known._replace(aged=aged), faults, less)
 
 
-def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
-    """(hold, mechanism with its friction smoothing velocities) with which `fit_mle` fits. Raises `FitError`."""
+class BetweenSamples(NamedTuple):
+    """Hold, friction smoothing velocities and delay of a torque between samples, as `fit_mle` takes them."""
+
+    hold: str
+    mechanism: Mechanism
+    """With these velocities."""
+    delay_s: float = 0.0
+    """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
+
+
+def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
+    """Hold, friction smoothing velocities and delay, by the motion where `options` state none. Raises `FitError`."""
     signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
     signals, _ = _without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
     problem, _, chosen = _search_hold(signals, mechanism, options, *mask)
-    return problem.collocation.hold if chosen is None else chosen.hold, problem.mechanism
+    if chosen is None:
+        return BetweenSamples(problem.collocation.hold, problem.mechanism)
+    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s)
 
 
 def find_command_delay(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> float | None:
@@ -211,11 +223,15 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
 
 def _without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
                  beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
-    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times."""
-    if options.hold != AUTO or bound_s > 0.0:
+    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times.
+
+    A nominal age of the rig's leaves more open than that of a clock: within its bound the age is sought, too.
+    """
+    least = max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz)
+    if (options.hold != AUTO and not bound_s) or 0.0 < bound_s < least:
         return signals, 0.0
     age_s = rough_age(signals, mechanism, options, free, beta)
-    if abs(age_s) < max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz):
+    if abs(age_s) < least * (not bound_s) or 0.0 < bound_s < abs(age_s):
         return signals, 0.0
     return [with_earlier_imu(s, age_s) for s in signals], age_s
 

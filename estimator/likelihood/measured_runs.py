@@ -18,6 +18,7 @@ from estimator.likelihood.noise import Noise
 from estimator.model import Collocation, Mechanism, ticks_of
 from estimator.signals import (
     GYRO,
+    SLOW_SHARE,
     Channel,
     SignalSet,
     by_run,
@@ -41,8 +42,6 @@ CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
 SLOW_HZ = 12.0
 """Cut-off below which effects see the measured rate."""
-SLOW_SHARE = 0.12
-"""Of the rate, of a torque: below it a spline between samples changes nothing."""
 
 
 def slack_of(mechanism: Mechanism) -> FloatArray:

@@ -12,7 +12,17 @@ from estimator.signals.channels import (
     torque_of,
 )
 from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, input_by_law
-from estimator.signals.filters import causal, encoder_level, lowpass, quantum, white_noise_level
+from estimator.signals.filters import (
+    SLOW_SHARE,
+    causal,
+    delayed,
+    encoder_level,
+    lowpass,
+    quantum,
+    shifted,
+    slow_part,
+    white_noise_level,
+)
 from estimator.signals.imu import (
     IMU_COLUMNS,
     accelerometer,
@@ -42,11 +52,12 @@ from estimator.signals.segments import (
 from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdowns
 
 __all__ = [
-    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "STANCE", "SUPPLY",
-    "Channel", "Commands", "Kind", "Kinematics", "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at",
-    "accelerometer_slopes", "angle_column", "by_run", "causal", "command_columns", "commands_of", "cut",
-    "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
-    "imu_readings", "input_by_law", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum",
-    "sight", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
+    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "SLOW_SHARE",
+    "STANCE", "SUPPLY", "Channel", "Commands", "Kind", "Kinematics", "SignalSet", "Touchdowns",
+    "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run", "causal",
+    "command_columns", "commands_of", "cut", "cut_steps", "delayed", "differentiate", "encoder_level",
+    "encoder_of", "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "input_by_law",
+    "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "shifted", "sight",
+    "slow_part", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
     "with_earlier_imu",
 ]

@@ -11,6 +11,11 @@ import numpy as np
 from daq import FloatArray
 from estimator.numerics import compile_kernel
 
+SLOW_SHARE = 0.12
+"""Of the rate: what is slower can be moved by parts of a sample, for a spline between samples changes nothing of it."""
+WHOLE = 1e-9
+"""Parts of a sample that are none: seconds times a rate are seldom whole numbers."""
+
 
 @cache
 def _sections(order: int, share: float) -> FloatArray:
@@ -71,6 +76,28 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
     out = np.zeros(flat.shape)
     out[live] = y[:, pad : pad + x.shape[0]]
     return out.T.reshape(x.shape)
+
+
+def slow_part(x: FloatArray, rate_hz: float) -> FloatArray:
+    """Part of x (n, ...) that is slow enough to be moved by parts of a sample."""
+    return lowpass(x, SLOW_SHARE * rate_hz, rate_hz)
+
+
+def shifted(x: FloatArray, samples: float) -> FloatArray:
+    """x (n,) so many samples later, by a cubic spline; its ends are held."""
+    from scipy.ndimage import shift
+
+    return np.asarray(shift(x, samples, order=3, mode="nearest"), dtype=np.float64)
+
+
+def delayed(x: FloatArray, slow: FloatArray, samples: float) -> FloatArray:
+    """x (n,) so many samples later; its ends are held.
+
+    Its `slow_part` moves by parts of a sample. What is fast, noise and a controller's steps, moves by whole samples:
+    noise that falls between samples is averaged, and an estimate of a delay would be drawn to half a sample for it.
+    """
+    whole = np.trunc(samples + np.copysign(WHOLE, samples))
+    return shifted(slow, samples) + (shifted(x - slow, whole) if whole else x - slow)
 
 
 def causal(x: FloatArray, numerator: FloatArray, denominator: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from estimator.errors import FitError, GapError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals.commands import Commands, command_columns, commands_of
-from estimator.signals.filters import central_difference, lowpass
+from estimator.signals.filters import central_difference, lowpass, shifted
 from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
 from estimator.signals.orientation import Kinematics, sight, with_imus
 
@@ -68,10 +68,7 @@ def cut(signals: SignalSet, where: slice) -> SignalSet:
 
 def with_earlier_imu(signals: SignalSet, age_s: float) -> SignalSet:
     """A segment whose IMU's readings are of `age_s` [s] before their stamps: cubic splines, their ends held."""
-    from scipy.ndimage import shift
-
-    moved = {name: shift(values, -age_s * signals.rate_hz, order=3, mode="nearest")
-             for name, values in signals.imu.items()}
+    moved = {name: shifted(values, -age_s * signals.rate_hz) for name, values in signals.imu.items()}
     return replace(signals, imu=moved)
 
 

@@ -5,6 +5,7 @@ from .flags import RunFlag as RunFlag
 from .flags import contradictions as contradictions
 from .flags import require_one_rig as require_one_rig
 from .inputs import driven as driven
+from .inputs import with_delay as with_delay
 from .lost_samples import with_lost_samples as with_lost_samples
 from .prepare import Prepared as Prepared
 from .prepare import Runs as Runs

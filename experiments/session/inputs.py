@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from scipy.ndimage import shift
 
-from daq import Dataset, Rig, Steps
+from daq import Dataset, FloatArray, Rig, Steps
 from daq.runs import VOLTAGE
 from estimator.calibration import DistanceMeter, angle_record
-from estimator.signals import STANCE, cut_steps, lowpass
+from estimator.signals import STANCE, cut_steps, delayed, imu_columns, shifted, slow_part
 from experiments.session.servo_law import with_law
 
 TORQUE = re.compile(r"tau\d+_nm?")
 """Columns that drive a mechanism."""
-SLOW_SHARE = 0.12
-"""Of the rate, below which a torque's curve between samples is its own."""
+AGES = 2.0
+"""Standard deviations of an IMU's nominal age within which it may be: about its 95 % interval."""
 
 
 def driven(data: Dataset, rig: Rig) -> Dataset:
     """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
     a torque channel what its law gives; with the absolute angle that a distance meter shows; and a walker's cut into
-    steps. A torque is where `[timing]` says that it acts.
+    steps. A torque is where `[timing]` says that it acts, an IMU's reading where `[imu]` says that it was true.
 
     A voltage is in the column `voltage1_v` [V]; every parameter is then in volt units. A run that has its input is
     returned with it as it is. Raises `FitError` where a walker's steps cannot be told.
     """
     if rig.timing.torque_delay_s is not None and not data.torque_delay_s:
         data = with_delay(data, rig.timing.torque_delay_s[0])
+    data = with_imu_age(data, rig)
     if rig.walker is not None:
         return walked(data, rig.walker.touchdown_s)
     if rig.distance_meter is not None and "distance_m" in data:
@@ -45,22 +47,48 @@ def driven(data: Dataset, rig: Rig) -> Dataset:
 def with_delay(data: Dataset, delay_s: float) -> Dataset:
     """`data` with its torques [N m] and forces [N] as they act, `delay_s` [s] after their stamps.
 
-    Whole samples move exactly. By the part of a sample that remains only what is slow moves: between samples, noise
-    would be averaged. Samples whose torque was measured before the run began are gaps.
+    Samples whose torque was measured before the run began are gaps.
     """
-    whole = round(delay_s * data.rate_hz)
-    part = delay_s * data.rate_hz - whole
-    moved = {name: values for name, values in data.columns.items() if TORQUE.fullmatch(name)}
-    for name, values in moved.items():
-        late = np.full(len(data), np.nan)
+    samples = delay_s * data.rate_hz
+
+    def late(y: FloatArray) -> FloatArray:
+        return delayed(y, slow_part(y, data.rate_hz), samples)
+
+    names = [name for name in data.columns if TORQUE.fullmatch(name)]
+    return replace(data, columns={**data.columns, **_moved(data, names, samples, late)}, torque_delay_s=delay_s)
+
+
+def with_imu_age(data: Dataset, rig: Rig) -> Dataset:
+    """`data` with the readings of its IMUs when they were true: earlier than their stamps by the nominal age that
+    `[imu]` gives.
+
+    Readings that were taken after the run's end are gaps. What may remain, twice the age's standard deviation, is added
+    to the bound of its clocks. Returned as it is where the rig file gives no age, or the readings are in place.
+    """
+    ages = {k: imu.age for k, imu in enumerate(rig.imus) if imu.age is not None and imu_columns(k)[0] in data}
+    if data.imu_age_s is not None or not ages:
+        return data
+    columns = dict(data.columns)
+    for k, age in ages.items():
+        early = -age.mean_s * data.rate_hz
+        names = [name for name in imu_columns(k) if name in data]
+        columns |= _moved(data, names, early, partial(shifted, samples=early))
+    return replace(data, columns=columns, imu_age_s=max(age.mean_s for age in ages.values()),
+                   clock_bound_s=data.clock_bound_s + AGES * max(age.std_s for age in ages.values()))
+
+
+def _moved(data: Dataset, names: Sequence[str], samples: float, move: Callable[[FloatArray], FloatArray]
+           ) -> dict[str, FloatArray]:
+    """Columns with each segment moved by so many samples; what comes from beyond its ends is a gap."""
+    found = {}
+    lost = int(np.ceil(round(abs(samples), 6)))
+    for name in names:
+        found[name] = np.full(len(data), np.nan)
         for where in data.segments([name]):
-            y = values[where]
-            slow = lowpass(y, SLOW_SHARE * data.rate_hz, data.rate_hz)
-            y = y - slow + shift(slow, part, order=3, mode="nearest")
-            first, last = max(whole, 0), min(len(y) + whole, len(y))
-            late[where.start + first : where.start + last] = y[first - whole : last - whole]
-        moved[name] = late
-    return replace(data, columns={**data.columns, **moved}, torque_delay_s=delay_s)
+            y = move(data[name][where])
+            own = slice(min(lost, len(y)), None) if samples > 0.0 else slice(None, max(len(y) - lost, 0))
+            found[name][where][own] = y[own]
+    return found
 
 
 def walked(data: Dataset, open_s: float) -> Dataset:

@@ -78,7 +78,10 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         if sigmas:
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
-    notes = (*[FREE_SWING] * free_swing, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
+    ages = {d.imu_age_s for d in datasets if d.imu_age_s is not None}
+    aged = [f"the IMU's readings are used {1e3 * age:.3g} ms before their stamps: [imu] says that they are so old"
+            for age in sorted(ages)]
+    notes = (*[FREE_SWING] * free_swing, *aged, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio,
                         stated_tolerances(rig, mechanism)), beta)
 

@@ -62,7 +62,7 @@ def test_a_controller_s_torque_is_recognised_as_smooth() -> None:
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto")
     found = fit([run], mechanism, options)
     assert found.hold == "smooth" and (found.hold_margin or 0.0) > 5.0
-    hold, known = between_samples([run], mechanism, options)  # without the rest of a fit
+    hold, known, _ = between_samples([run], mechanism, options)  # without the rest of a fit
     assert hold == found.hold and known == found.mechanism
     line = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="linear"))
     assert found.noise["torque_nm"] < line.noise["torque_nm"]
@@ -152,5 +152,5 @@ def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:
     leg = random_leg(rng)
     run = record_timed(leg, rng, Timing(500, delay_s=0.015), seconds=3.0)
     short = [replace(run.part(slice(k, k + 60)), name=f"r{k}") for k in range(300, 1400, 60)]
-    hold, _ = between_samples(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
+    hold, *_ = between_samples(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
     assert hold in HOLDS

@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.rig import load_rig
+from daq.runs import write_csv
 from experiments.cli import main
+from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
+from tests.support.timed_leg import Timing, record
+
+LEG_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\n'
 
 
 def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,3 +64,24 @@ def test_a_parameter_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert errors["beta4=0.5"] > 2.0 * errors["beta4=0.05"]
     assert main(["tune", *runs, "--rig", str(rig), "--fix", "beta5=1"]) == 2
     assert "joint1 has no parameter beta5" in capsys.readouterr().err
+
+
+def test_rate_hold_and_delay_are_found_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A controller that holds its torque from 3 ms after its stamp on; the rig file has half the rate, another hold."""
+    rng = np.random.default_rng(1)
+    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
+    for file in runs:
+        write_csv(record(leg, rng, Timing(200.0, delay_s=0.003), seconds=6.0, name=file.stem), file)
+    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig.write_text(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
+                   '[sampling]\nrate_hz = 100.0\nhold = "average"\n')
+    assert main(["tune", *map(str, runs), "--rig", str(rig), "--json", str(out), "--write"]) == 0
+    printed, found = capsys.readouterr().out, json.loads(out.read_text())
+    assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in printed
+    tuned = load_rig(rig)
+    assert (tuned.sampling.rate_hz, tuned.sampling.hold) == (200.0, "zero")
+    assert tuned.timing.torque_delay_s is not None
+    assert tuned.timing.torque_delay_s[0] == pytest.approx(0.003, abs=2.5e-4)
+    gains = {one["what"]: one["gain"] for one in found["times"]}
+    assert set(gains) == {"rate", "hold", "delay"} and min(gains.values()) > 0.3
+    assert np.all(np.array(found["error_after"]) < 0.5 * np.array(found["error_before"]))
