@@ -20,6 +20,7 @@ def write_pages(folder: Path) -> None:
     """All generated pages into `folder`; unchanged ones are left alone, so that a rebuild is quick."""
     folder.mkdir(exist_ok=True)
     pages = {"commands.md": commands_page(), "effects.md": effects_page(), "streams.md": streams_part()}
+    pages |= {f"{name}_keys.md": text for name, text in key_tables().items()}
     pages |= {f"{floor}.rst": modules_page(floor, words) for floor, words in FLOORS.items()}
     for name, text in pages.items():
         path = folder / name
@@ -72,6 +73,13 @@ def streams_part() -> str:
     parts.append(f"### {' and '.join(NOTE_TOPICS)}\n\nSchema `{NOTE_SCHEMA}`: `int64 host_ns`, `string kind`, "
                  "`string text`.")
     return "\n\n".join(parts) + "\n"
+
+
+def key_tables() -> dict[str, str]:
+    """The table of keys of each JSON document that is a struct, for the page of formats."""
+    from experiments.documents import DOCUMENTED, keys_table
+
+    return {name: keys_table(kind) for name, kind in DOCUMENTED.items()}
 
 
 def modules_page(floor: str, words: str) -> str:

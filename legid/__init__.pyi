@@ -35,11 +35,11 @@ from .listings import Tuning as Tuning
 from .results import Dataset as Dataset
 from .results import Diagnosis as Diagnosis
 from .results import FitResult as FitResult
-from .results import Validation as Validation
-from .results import Validations as Validations
 from .tools import effects as effects
 from .tools import excite as excite
 from .tools import export as export
 from .tools import gains as gains
 from .tools import guess as guess
 from .tools import read as read
+from .validations import Validation as Validation
+from .validations import Validations as Validations

@@ -61,7 +61,8 @@ from experiments.workflows import (
 )
 from legid.changes import Change, Investigation, Watching
 from legid.listings import Comparison, Tuning
-from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
+from legid.results import Dataset, Diagnosis, FitResult, dressed, sources_of
+from legid.validations import Validation, Validations
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
            "Investigation", "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "Watching",
@@ -127,27 +128,32 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     return dressed(FitResult, found.result, runs=given, rig=found.rig, fitted=found)
 
 
-def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
-             against: Model | None = None, horizons_s: Sequence[float] | None = None,
+def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+             against: Model | Path | str | None = None, horizons_s: Sequence[float] | None = None,
              simulator: Literal["legid", "mujoco"] = "legid") -> Validations:
     """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
 
-    `simulator="mujoco"`: by MuJoCo, with what `legid export --to mujoco` writes.
+    Models are given as they are or as their files. `simulator="mujoco"`: by MuJoCo, with what `legid export --to
+    mujoco` writes.
 
-    Each gap-free segment is simulated from its first state under its measured torque alone. A list of one `Validation`
-    a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects.
-
-    The result's `document` has the errors over `horizons_s` [s] (default 0.1, 0.5, 1, 5) and over whole segments, next
-    to those of the model `against`. Raises `InputError` for a model of another mechanism, `FitError` where a first
-    state cannot be estimated.
+    Each gap-free segment is simulated from its first state under its measured torque alone. The result is the document
+    `legid.validation/1` (docs/formats.md): `trust`, `runs`, and `horizons` with the errors over `horizons_s` [s]
+    (default 0.1, 0.5, 1, 5) and over whole segments, next to those of the model `against`. It is also a sequence of one
+    `Validation` a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold
+    effects. Raises `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
     given, known = _given(runs, rig)
-    prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
+    one, where = _model(model, "the model")
+    other, of_other = (None, "") if against is None else _model(against, "the other model")
+    if other is not None and other.mechanism.model != one.mechanism.model:
+        raise InputError(of_other, f"is a {other.mechanism.model}, not a {one.mechanism.model}",
+                         "give a model of the same mechanism")
+    prepared = prepare(given, known, sensors=sensors, beta=np.array(one.beta))
     files = sources_of(given)
-    found = validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s), True)
+    found = validate_prepared(one, prepared, where, files, other, _lengths(horizons_s), True)
     if simulator == "mujoco":
-        found = validate_in_mujoco(model, found, "the model")
-    return Validations.of(found, files, model)
+        found = validate_in_mujoco(one, found, where)
+    return Validations.made_from(found, one, where, files)
 
 
 @overload
@@ -333,6 +339,11 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
 
 def _rig(rig: RigLike) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
+
+
+def _model(model: Model | Path | str, name: str) -> tuple[Model, str]:
+    """A model, and what names it in errors: its file, or else `name`."""
+    return (model, name) if isinstance(model, Model) else (load_model(model), str(model))
 
 
 def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:

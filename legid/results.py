@@ -19,29 +19,25 @@ from daq import Dataset as PlainDataset
 from daq import Rig, WorkError
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
-from estimator.prediction import Validation as PlainValidation
 from experiments.judge import fit_trust
-from experiments.models import Model
 from experiments.reports import (
     PARAMETER_HEADER,
     Source,
     agreement_lines,
     diagnosis_document,
     error_rows,
-    errors_text,
     gap_text,
     origin_from,
     parameter_rows,
     parameter_text,
     short_diagnosis_text,
     size_rows,
-    validation_rows,
     write_diagnosis,
     write_document,
     write_fit,
 )
 from experiments.session import Prepared, damaged_runs
-from experiments.workflows import Fitted, ValidationReport, write_validation
+from experiments.workflows import Fitted
 from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
@@ -165,100 +161,6 @@ class FitResult(Shown, PlainFit):
         return (paragraphs([self.trust, f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} "
                             f"samples: {state}."])
                 + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
-
-
-@dataclass(frozen=True, repr=False)
-class Validation(Shown, PlainValidation):
-    """One gap-free segment of one run: measured against simulated from its first state and torque alone."""
-
-    def to_frame(self) -> DataFrame:
-        """One row a sample, `time_s` [s] as index: angles simulated and measured. Raises `WorkError` without pandas."""
-        unit = "m" if "q1_m" in self.rmse else "rad"
-        columns = {f"q{j + 1}_{what}_{unit}": values[:, j] for j in range(self.q.shape[1])
-                   for what, values in (("simulated", self.q), ("measured", self.reference_q))}
-        return frame({"time_s": self.time_s, **columns}, "time_s")
-
-    def plot(self) -> Figure:
-        """Every joint over time, measured and simulated."""
-        from legid.figures import validation_figure
-
-        return validation_figure([self])
-
-    def __str__(self) -> str:
-        errors = ", ".join(f"{name} {value:.4g}" for name, value in self.rmse.items())
-        return f"{self.run}: {self.horizon_s:.1f} s simulated, rms errors {errors}"
-
-    def _repr_html_(self) -> str:
-        return Validations([self])._repr_html_()
-
-
-class Validations(Shown, list[Validation]):
-    """A list of `Validation`, one a gap-free segment, that shows itself as a table."""
-
-    report: ValidationReport | None = None
-    """What `validate` found, with its trust, horizons and the runs set aside."""
-    sources: tuple[Source, ...] = ()
-    model: Model | None = None
-
-    @classmethod
-    def of(cls, report: ValidationReport, sources: tuple[Source, ...] = (), model: Model | None = None) -> Validations:
-        """Validations of `model` on the runs of `sources`."""
-        made = cls(dressed(Validation, one) for one in report.validations)
-        made.report, made.sources, made.model = report, sources, model
-        return made
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.validation/1`, as `legid validate --json` writes it. Raises `WorkError` for a list made by hand."""
-        if self.report is None:
-            raise WorkError("only a result of legid.validate has a document")
-        return {**self.report.document, "damaged": damaged_runs(self.report.prepared.setup.datasets)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, self.sources)
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid validate --html`. Raises `InputError`, and `WorkError` for a list made by hand."""
-        if self.report is None or self.model is None:
-            raise WorkError("only a result of legid.validate has a page")
-        write_validation(path, self.report, self.model, "the model", origin_from(self.sources))
-
-    @property
-    def trust(self) -> str:
-        """Whether the model can simulate, and for how long: the first line of `legid validate`.
-
-        Raises `WorkError` for a list made by hand."""
-        if self.report is None:
-            raise WorkError("only a result of legid.validate has a first line")
-        return self.report.trust.sentence
-
-    def to_frame(self) -> DataFrame:
-        """One row a segment: run, seconds, whether it diverged, rms error by signal.
-
-        Raises `WorkError` without pandas.
-        """
-        signals = list(self[0].rmse) if self else []
-        return frame({"run": [v.run for v in self], "seconds": [v.horizon_s for v in self],
-                      "diverged": [v.diverged for v in self],
-                      **{name: [v.rmse[name] for v in self] for name in signals}}, "run")
-
-    def plot(self) -> Figure:
-        """Joints down, the first segments across. Raises `WorkError` where there is none."""
-        from legid.figures import validation_figure
-
-        if not self:
-            raise WorkError("no segment of these runs is long enough to be simulated; record for longer")
-        return validation_figure(self)
-
-    def __str__(self) -> str:
-        if not self:
-            return "no segment was long enough"
-        table = errors_text(self)
-        return table if self.report is None else f"{self.trust}\n\n{table}"
-
-    def _repr_html_(self) -> str:
-        return html_table(*validation_rows(self)) if self else paragraphs(["no segment was long enough"])
 
 
 @dataclass(frozen=True, repr=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.calibrate import CHECK, FOUND, check_rows, found_rows, open_terms
+from experiments.documents import segment_of
 from experiments.judge import number
 from experiments.reports import (
     BLUE,
@@ -156,7 +157,7 @@ def _fit_section(title: str, f: Fitted) -> Section:
             for j, (a, b) in enumerate(zip(f.task.relative_error_percent, f.relative_error_percent()))],
             right=frozenset({1, 2})))
     if f.validations:
-        header, lines = validation_rows(f.validations)
+        header, lines = validation_rows([segment_of(one) for one in f.validations])
         tables.append(Table(header, lines, "free-run simulation of runs that the fit has not seen",
                             frozenset(range(1, len(header)))))
     notes = [f"not determined: {name}" for name in f.result.undetermined]

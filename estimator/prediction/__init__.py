@@ -34,7 +34,7 @@ from estimator.prediction.replicate import draw_disturbance, draw_replicate, sim
 from estimator.prediction.smoothing import per_value, smooth, smooth_segments, smooth_under
 from estimator.prediction.structure import repeated_share, state_columns, taken
 from estimator.prediction.torque_regression import LearntTorque
-from estimator.prediction.validation import Validation, validations_of
+from estimator.prediction.validation import Validation, segments_as, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 
 __all__ = [
@@ -66,6 +66,7 @@ __all__ = [
     "predict_filtered",
     "predict_run",
     "repeated_share",
+    "segments_as",
     "simulate_run",
     "smooth",
     "smooth_segments",

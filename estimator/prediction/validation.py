@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,8 +35,16 @@ class Validation:
     diverged: bool
 
 
+V = TypeVar("V", bound=Validation)
+
+
 def validations_of(table: PredictionTable, model: int = 0) -> list[Validation]:
     """The whole free runs of one model, one a gap-free segment."""
+    return segments_as(Validation, table, model)
+
+
+def segments_as(kind: type[V], table: PredictionTable, model: int = 0) -> list[V]:
+    """The same as a type that is derived from `Validation`."""
     out = []
     for run in table.runs:
         n = run.residual_torque.shape[-1]
@@ -53,9 +62,9 @@ def validations_of(table: PredictionTable, model: int = 0) -> list[Validation]:
                 known = error[np.isfinite(error)]
                 sums[name] = float(np.sum(known**2)) if last == end - begin else np.inf
                 rmse[name] = float(np.sqrt(np.mean(known**2))) if known.size else np.inf
-            out.append(Validation(run.run, run.time_s[where], simulated[:n, where].T, simulated[n:, where].T,
-                                  reference[:n, where].T, reference[n:, where].T, sums, rmse, last / run.rate_hz,
-                                  last < end - begin))
+            out.append(kind(run.run, run.time_s[where], simulated[:n, where].T, simulated[n:, where].T,
+                            reference[:n, where].T, reference[n:, where].T, sums, rmse, last / run.rate_hz,
+                            last < end - begin))
     return out
 
 

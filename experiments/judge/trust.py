@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
@@ -36,13 +36,15 @@ IN_SHORT: dict[str, str] = {
 """Kind of a suspect result -> its words in the first line; its own line has the figures."""
 
 
-@dataclass(frozen=True)
-class Trust:
+class Trust(Struct, frozen=True):
     """An answer in one line, and what it rests on."""
 
-    level: Level
-    sentence: str
-    reasons: tuple[str, ...] = ()
+    level: Annotated[Level, Meta(description="good, caution or bad")]
+    sentence: Annotated[str, Meta(description="the answer, and for what it holds")]
+    reasons: Annotated[tuple[str, ...], Meta(description="one a line")] = ()
+
+    def __str__(self) -> str:
+        return self.sentence
 
     @property
     def document(self) -> dict[str, Any]:

@@ -47,9 +47,6 @@ from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import parameter_rows as parameter_rows
 from .fit_text import parameter_text as parameter_text
-from .horizons import horizons_document as horizons_document
-from .horizons import horizons_section as horizons_section
-from .horizons import horizons_text as horizons_text
 from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table
@@ -85,14 +82,12 @@ from .run_list import other_tables as other_tables
 from .run_list import runs_document as runs_document
 from .run_list import runs_text as runs_text
 from .validation_page import errors_text as errors_text
-from .validation_page import validation_document as validation_document
 from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows
 from .validation_page import validation_section as validation_section
 from .validation_page import validation_text as validation_text
-from .walk_ahead import walk_document as walk_document
-from .walk_ahead import walk_section as walk_section
-from .walk_ahead import walk_text as walk_text
+from .validation_page import whole_validation_text as whole_validation_text
+from .validation_page import write_validation as write_validation
 from .watch import WATCH_SCHEMA as WATCH_SCHEMA
 from .watch import line_text as line_text
 from .watch import watch_document as watch_document

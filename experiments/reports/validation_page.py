@@ -1,111 +1,86 @@
-"""Free-run simulation against runs not used for the fit: JSON, text and the report's section."""
+"""Free-run simulation against runs not used for the fit: text, tables and the report's sections."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Container, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from daq import Dataset
 from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
 from experiments.console import text_table
-from experiments.judge import fits_of
+from experiments.documents import RunFit, Segment, ValidationDocument, finite
+from experiments.models import Model
+from experiments.provenance import Origin
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
-from experiments.reports.html import Section, Table
+from experiments.reports.horizons import horizons_section, horizons_text
+from experiments.reports.html import Picture, Section, Table, trust_box, write_page
+from experiments.reports.origin import origin_section
+from experiments.reports.walk_ahead import walk_section, walk_text
 
-SCHEMA = "legid.validation/1"
 FIGURE_SECONDS = 20.0
 PICTURE_SECONDS = 10.0
-
-
-def validation_document(table: PredictionTable, sensors: str) -> dict[str, Any]:
-    """`legid.validation/1`: summed squared errors (Table V of the paper) and RMSE by run and signal, and the fit by
-    sensor [%], null where the simulation diverges."""
-    return {"schema": SCHEMA, "sensors": sensors,
-            "fit_percent": [{"run": one.run, "whole": fits_of(table, k, np.inf), "short": fits_of(table, k, SHORT_S),
-                             "short_s": SHORT_S} for k, one in enumerate(table.runs)],
-            "runs": [{"run": v.run, "samples": int(v.time_s.shape[0]), "horizon_s": float(v.horizon_s),
-                      "diverged": bool(v.diverged), "initial_state": initial_state(v),
-                      "summed_squared_error": _floats(v.sums), "rmse": _floats(v.rmse)}
-                     for v in validations_of(table)]}
-
-
-def initial_state(v: Validation) -> dict[str, float]:
-    """Signal -> its value at the start of the free run: angles [rad] or positions [m], and their rates."""
-    names, state = list(v.sums), [x for pair in zip(v.q[0], v.qd[0]) for x in pair]
-    return {name: float(x) for name, x in zip(names, state, strict=True)}
-
-
+FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
 INITIAL = "Initial states, estimated from the readings by the model's smoother:"
 
 
-def state_rows(validations: Sequence[Validation]) -> tuple[list[str], list[list[str]]]:
+def state_rows(found: Sequence[Segment]) -> tuple[list[str], list[list[str]]]:
     """Header and rows: one row a segment, its start in the run's own time and every signal there."""
-    header = ["run", "start [s]", *validations[0].sums]
-    return header, [[v.run, f"{v.time_s[0]:.3f}", *(f"{x:.5g}" for x in initial_state(v).values())]
-                    for v in validations]
+    return ["run", "start [s]", *found[0].initial_state], [
+        [one.run, "" if one.start_s is None else f"{one.start_s:.3f}",
+         *(f"{finite(x):.5g}" for x in one.initial_state.values())] for one in found]
 
 
-def _floats(values: Any) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
-
-
-def validation_rows(validations: Sequence[Validation]) -> tuple[list[str], list[list[str]]]:
+def validation_rows(found: Sequence[Segment]) -> tuple[list[str], list[list[str]]]:
     """Header and rows: one row a run, SSE and RMSE of every signal."""
-    signals = list(validations[0].sums)
+    signals = list(found[0].rmse)
     header = ["run", "seconds"] + [f"{kind} {name}" for name in signals for kind in ("SSE", "RMSE")]
-    rows = []
-    for v in validations:
-        cells = [v.run, f"{v.horizon_s:.1f}"]
-        for name in signals:
-            cells += [f"{v.sums[name]:.4g}", f"{v.rmse[name]:.4g}"]
-        rows.append(cells)
-    return header, rows
+    return header, [[one.run, f"{one.horizon_s:.1f}",
+                     *(f"{finite(values[name]):.4g}" for name in signals
+                       for values in (one.summed_squared_error, one.rmse))] for one in found]
 
 
-def errors_text(validations: Sequence[Validation]) -> str:
+def errors_text(found: Sequence[Segment]) -> str:
     """The same as text."""
-    header, rows = validation_rows(validations)
+    header, rows = validation_rows(found)
     return text_table(header, rows, right=set(range(1, len(header))))
 
 
-FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
-
-
-def fit_rows(table: PredictionTable) -> list[list[str]]:
+def fit_rows(found: Sequence[RunFit]) -> list[list[str]]:
     """One row of FIT_HEADER a sensor of a run; the band as its rms half width, in the sensor's unit."""
-    def share(value: float) -> str:
-        return f"{value:.1f} %" if np.isfinite(value) else "diverged"
+    def share(value: float | None) -> str:
+        return f"{value:.1f} %" if value is not None and np.isfinite(value) else "diverged"
 
-    rows = []
-    for k, one in enumerate(table.runs):
-        band = one.bands[0] if one.bands else None
-        short = fits_of(table, k, SHORT_S)
-        rows += [[one.run, name, share(value), share(short[name]), "" if band is None else
-                  f"+-{np.sqrt(np.mean(band[table.channels.index(name)] ** 2)):.2g}"]
-                 for name, value in fits_of(table, k, np.inf).items()]
-    return rows
+    return [[one.run, name, share(value), share(one.short[name]),
+             "" if name not in one.band95 else f"+-{finite(one.band95[name]):.2g}"]
+            for one in found for name, value in one.whole.items()]
 
 
-def validation_text(table: PredictionTable) -> str:
-    """Text after `legid validate`."""
-    validations = validations_of(table)
-    unit = length_unit(validations[0])
-    lines = [errors_text(validations), "",
-             text_table(FIT_HEADER, fit_rows(table), right={2, 3, 4}), "",
+def validation_text(found: ValidationDocument) -> str:
+    """Errors of whole runs, as `legid validate` prints them."""
+    unit = unit_of(found.runs[0].rmse)
+    lines = [errors_text(found.runs), "",
+             text_table(FIT_HEADER, fit_rows(found.fit_percent), right={2, 3, 4}), "",
              "fit: 100 % is exact, 0 % no better than the mean. Band: change of the simulation by the parameters' "
              "uncertainty; a much larger error means that the model lacks something.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
-    state_header, states = state_rows(validations)
+    state_header, states = state_rows(found.runs)
     lines += ["", INITIAL, text_table(state_header, states, right=set(range(1, len(state_header))))]
-    lines += [f"{v.run}: the simulation diverged" for v in validations if v.diverged]
+    lines += [f"{one.run}: the simulation diverged" for one in found.runs if one.diverged]
     return "\n".join(lines)
 
 
-def length_unit(validation: Validation) -> str:
+def whole_validation_text(found: ValidationDocument) -> str:
+    """Text after `legid validate`."""
+    return "\n".join([found.trust.sentence, *found.trust.reasons, "", validation_text(found),
+                      horizons_text(found.horizons), *([walk_text(found.walk)] if found.walk else [])])
+
+
+def unit_of(by_signal: Container[str]) -> str:
     """rad, or m where the joint is prismatic."""
-    return "m" if "q1_m" in validation.sums else "rad"
+    return "m" if "q1_m" in by_signal else "rad"
 
 
 def validation_picture(validation: Validation) -> str:
@@ -116,21 +91,36 @@ def validation_picture(validation: Validation) -> str:
         measured, simulated = ((BLUE, ORANGE), (GREEN, GREY))[j % 2]
         lines += [Line(f"q{j + 1} measured", validation.reference_q[part, j], measured, 1.6),
                   Line("simulated", validation.q[part, j], simulated, 1.0, dashed=True)]
-    label = "angle [rad]" if length_unit(validation) == "rad" else "position [m]"
+    label = "angle [rad]" if unit_of(validation.sums) == "rad" else "position [m]"
     return plot_lines(validation.time_s[part] - validation.time_s[0], lines, label)
 
 
-def validation_section(table: PredictionTable) -> Section:
-    """Table of all runs, figures of the first, with their bands where the table has them. The joint with the worst fit
-    leads the page."""
-    validations = validations_of(table)
-    header, rows = validation_rows(validations)
-    state_header, states = state_rows(validations)
-    first = validations[0]
-    unit = length_unit(first)
+def validation_section(found: ValidationDocument, table: PredictionTable) -> Section:
+    """Table of all runs, figures of the first in `table`, with their bands where it has them. The joint with the worst
+    fit leads the page."""
+    header, rows = validation_rows(found.runs)
+    state_header, states = state_rows(found.runs)
+    unit = unit_of(found.runs[0].rmse)
+    notes = [f"{one.run}: the simulation diverged." for one in found.runs if one.diverged]
+    tables = [Table(FIT_HEADER, fit_rows(found.fit_percent), "Fit: 100 % is exact, 0 % no better than the mean; the "
+                    "band is the rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
+              Table(header, rows, right=frozenset(range(1, len(header)))),
+              Table(state_header, states, INITIAL.removesuffix(":"), frozenset(range(1, len(state_header))))]
+    return Section(
+        "Free-run simulation against validation data",
+        ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "
+         "the fit has not seen test the model. "
+         f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
+         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, _pictures(found, table), notes, folded=True)
+
+
+def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture]:
+    """Motion and error of each joint in the first segment."""
+    first = validations_of(table)[0]
+    unit = unit_of(first.sums)
     band = table.runs[0].bands[0] if table.runs[0].bands else None
-    fits = fits_of(table, 0, np.inf)
-    worst = min(range(first.q.shape[1]), key=lambda j: fits.get(f"q{j + 1}_{unit}", np.inf))
+    fits = found.fit_percent[0].whole
+    worst = min(range(first.q.shape[1]), key=lambda j: finite(fits.get(f"q{j + 1}_{unit}", np.inf)))
     pictures = []
     for j in range(first.q.shape[1]):
         q = first.q[:, j]
@@ -147,14 +137,18 @@ def validation_section(table: PredictionTable) -> Section:
                           f"Joint {j + 1}: the error" + ("; shaded, what the parameters' uncertainty explains of it."
                                                         if half is not None else "."), FIGURE_SECONDS,
                           bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
-    notes = [f"{v.run}: the simulation diverged." for v in validations if v.diverged]
-    tables = [Table(FIT_HEADER, fit_rows(table), "Fit: 100 % is exact, 0 % no better than the mean; the band is the "
-                    "rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
-              Table(header, rows, right=frozenset(range(1, len(header)))),
-              Table(state_header, states, INITIAL.removesuffix(":"), frozenset(range(1, len(state_header))))]
-    return Section(
-        "Free-run simulation against validation data",
-        ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "
-         "the fit has not seen test the model. "
-         f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
-         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes, folded=True)
+    return pictures
+
+
+def write_validation(path: Path | str, found: ValidationDocument, table: PredictionTable, model: Model, where: str,
+                     runs: Sequence[Dataset]) -> None:
+    """Write the page of a validation of `model`, which `where` names, on `runs`. Raises `InputError` where that place
+    cannot be written."""
+    count = len(found.fit_percent)
+    origin = found.provenance or Origin(version="", commit="")
+    write_page(path, f"Validation of {where}",
+               f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
+               f"simulated against {count} run{'s' * (count != 1)}.",
+               [validation_section(found, table), horizons_section(found.horizons),
+                *([walk_section(found.walk)] if found.walk else []), origin_section(origin, runs)], origin,
+               trust_box(found.trust))

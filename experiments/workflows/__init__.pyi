@@ -57,7 +57,6 @@ from .validate import predict_setup as predict_setup
 from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared
-from .validate import write_validation as write_validation
 from .watch import Watcher as Watcher
 from .watch import arrivals as arrivals
 from .watch import watcher_of as watcher_of

@@ -68,7 +68,8 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     after = validate_model(model, held, "the extended model").table if model.effects else before
     truth = dict(zip(setup.mechanism.names, body.beta()))
     written = {"rig": out / "rig.toml", "runs": out / "demo-run*.mcap"}
-    demo = Demo(hidden, training, result, diagnosis, model, before, after, truth, written, 0.0)
+    demo = Demo(hidden, training, result, diagnosis, model, replace(prepared, setup=held), before, after, truth,
+                written, 0.0)
     written |= write_results(out, demo, benchmark)
     if not result.converged:
         raise WorkError(f"the fit did not converge; see {written['fit report']}")

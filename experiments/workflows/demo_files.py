@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from msgspec import structs
+
 from estimator import FitResult
-from estimator.prediction import validations_of
+from estimator.prediction import PredictionTable, validations_of
 from experiments.console import command_line, write_json, write_text
-from experiments.judge import estimates_of, fit_trust, model_of
+from experiments.documents import ValidationDocument
+from experiments.judge import estimates_of, fit_trust, model_of, validation_trust
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
@@ -21,7 +24,6 @@ from experiments.reports import (
     standalone,
     trust_box,
     truth_section,
-    validation_document,
     validation_picture,
     validation_section,
     verdict_box,
@@ -45,11 +47,11 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     save_model(model_with_origin(demo.model, origin), written["extended model"])
     write_json(written["fit"], with_origin(fit_document(result, setup.settings), origin))
     write_json(written["diagnosis"], with_origin(diagnosis_document(demo.diagnosis), origin))
-    write_json(written["validation"], with_origin(validation_document(demo.after, setup.options.sensors), origin))
+    write_json(written["validation"], structs.replace(_validation(demo, demo.after), provenance=origin))
     write_text(written["picture"], standalone(validation_picture(validations_of(demo.after)[0])))
     sections = fit_sections(result, benchmark)
     sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
-    sections[-3:-3] = [validation_section(demo.before)]
+    sections[-3:-3] = [validation_section(_validation(demo, demo.before), demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
                [*sections, origin_section(origin)], origin, trust_box(fit_trust(result), result.warnings))
     told = diagnosis_sections(demo.diagnosis, setup.mechanism)
@@ -58,3 +60,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
                f"The leg was emulated. In addition to its rig file it had {demo.hidden.words}.",
                [*told, origin_section(origin)], origin, verdict_box(demo.diagnosis))
     return written
+
+
+def _validation(demo: Demo, table: PredictionTable) -> ValidationDocument:
+    return ValidationDocument.of(table, validation_trust(table), demo.held)

@@ -11,7 +11,7 @@ from estimator.prediction import PredictionTable
 from experiments.emulation import Hidden
 from experiments.judge import Estimate, estimates_of, normal
 from experiments.models import Model
-from experiments.session import Setup
+from experiments.session import Prepared, Setup
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class Demo:
     diagnosis: Diagnosis
     model: Model
     """Extended, or nominal where the diagnosis extended nothing."""
+    held: Prepared
+    """The runs that the diagnosis held out."""
     before: PredictionTable
     after: PredictionTable
     """Free runs of the confirm runs by the nominal model, and by `model`."""

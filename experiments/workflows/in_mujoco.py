@@ -34,15 +34,18 @@ def validate_in_mujoco(model: Model, report: ValidationReport, where: str) -> Va
         session_s += smoothed.problem.total * smoothed.problem.dt
     table = tabulate(runs, report.table.smoother)
     trust = with_fit_trust(validation_trust(table, report.seen, report.told), model.trust)
-    return replace(report, table=table, trust=trust)
+    return replace(report, table=table, trust=trust, simulator="mujoco", own=report.table)
 
 
-def compared_text(own: ValidationReport, other: ValidationReport) -> str:
-    """Lines: each sensor's error in MuJoCo over that of legid's simulation."""
-    lines = [f"MuJoCo's free runs against legid's own, whole runs, {other.table.runs[0].run} and on:"
-             if len(other.table.runs) > 1 else "MuJoCo's free runs against legid's own, the whole run:"]
-    for channel in own.table.judged:
-        errors = [one.table.rms(0, channel, np.inf) for one in (own, other)]
+def compared_text(report: ValidationReport) -> str:
+    """Lines: each sensor's error in MuJoCo over that of legid's simulation; empty where legid has simulated."""
+    own, other = report.own, report.table
+    if own is None:
+        return ""
+    lines = [f"MuJoCo's free runs against legid's own, whole runs, {other.runs[0].run} and on:"
+             if len(other.runs) > 1 else "MuJoCo's free runs against legid's own, the whole run:"]
+    for channel in own.judged:
+        errors = [one.rms(0, channel, np.inf) for one in (own, other)]
         lines.append(f"  {channel}: {errors[1]:.4g} against {errors[0]:.4g} rms, "
                      f"{100.0 * (errors[1] / errors[0] - 1.0):+.2f} %")
     return "\n".join(lines)

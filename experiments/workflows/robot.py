@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import Rig
 from experiments.console import text_table
+from experiments.documents import ValidationDocument
 from experiments.judge import model_of
 from experiments.models import fitted_settings
 from experiments.reports import validation_text
@@ -69,7 +70,7 @@ class RobotReport:
         told = f"The runs contradict {len(wrong)} of {len(self.rows)} parameters: {', '.join(wrong)}." if wrong else \
             f"The runs contradict none of {len(self.rows)} parameters."
         return "\n".join([told, "", text_table(HEADER, cells, right={1, 2, 3, 4}), "", "Free runs of the file's model:",
-                          *errors, "", validation_text(table)])
+                          *errors, "", validation_text(self.validation.as_document(ValidationDocument))])
 
 
 def judge_robot(path: Path, runs: Runs, rig: Rig, damaged: bool = False) -> RobotReport:

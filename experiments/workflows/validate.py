@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
+
+from msgspec import structs
 
 from daq import Dataset, InputError
 from estimator import FitResult
@@ -15,33 +16,22 @@ from estimator.prediction import (
     FittedModel,
     PredictionTable,
     SmoothedRun,
-    Validation,
     WalkAhead,
     predict,
-    validations_of,
     walk_ahead,
 )
 from experiments.console import progress
+from experiments.documents import ValidationDocument
 from experiments.judge import Trust, model_contradictions, validation_trust, with_fit_trust
 from experiments.models import Model, build_mechanism, fitted_model_of, range_note
-from experiments.provenance import Origin, Source
-from experiments.reports import (
-    horizons_document,
-    horizons_section,
-    origin_section,
-    trust_box,
-    validation_document,
-    validation_section,
-    walk_document,
-    walk_section,
-    write_page,
-)
-from experiments.session import Prepared, Setup, contradictions, faulty_readings, require_sound
+from experiments.provenance import Source
+from experiments.session import Prepared, Setup, contradictions, require_sound
 
+D = TypeVar("D", bound=ValidationDocument)
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """Everything that a validation says, for a terminal, a page, a document or a notebook."""
+    """Free runs of a model with their trust, from which the document is made."""
 
     prepared: Prepared
     table: PredictionTable
@@ -54,19 +44,14 @@ class ValidationReport:
     told: tuple[str, ...] = ()
     """What else contradicts the rig or the model."""
 
-    @property
-    def validations(self) -> list[Validation]:
-        """The whole free runs of the model, one a gap-free segment."""
-        return validations_of(self.table)
+    simulator: str = "legid"
+    own: PredictionTable | None = None
+    """legid's own free runs, where another program has simulated."""
 
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.validation/1` of docs/formats.md."""
-        found = validation_document(self.table, self.prepared.setup.options.sensors)
-        found |= {"trust": self.trust.document, "fitted_to": list(self.seen), "horizons": horizons_document(self.table),
-                  "set_aside": [run.document for run in self.prepared.set_aside],
-                  "readings": faulty_readings(self.prepared.setup.datasets)}
-        return found | ({} if self.steps is None else {"walk": walk_document(self.steps)})
+    def as_document(self, kind: type[D]) -> D:
+        """`legid.validation/1` as `kind`, the struct or one derived from it, without its provenance."""
+        made = kind.of(self.table, self.trust, self.prepared, self.seen, self.steps)
+        return made if self.simulator == "legid" else structs.replace(made, simulator=self.simulator)
 
 
 def validate_prepared(model: Model, prepared: Prepared, where: str, files: Sequence[Source] = (),
@@ -78,18 +63,6 @@ def validate_prepared(model: Model, prepared: Prepared, where: str, files: Seque
     told = (*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes)
     trust = with_fit_trust(validation_trust(table, seen, told), model.trust)
     return ValidationReport(prepared, table, steps, seen, trust, smoothed, told)
-
-
-def write_validation(path: Path | str, found: ValidationReport, model: Model, where: str, origin: Origin) -> None:
-    """Write the page of a validation of `model`, which `where` names. Raises `InputError` where that place cannot be
-    written."""
-    table, runs = found.table, found.prepared.setup.datasets
-    walk = [walk_section(found.steps)] if found.steps is not None else []
-    write_page(path, f"Validation of {where}",
-               f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
-               f"simulated against {len(table.runs)} run{'s' * (len(table.runs) != 1)}.",
-               [validation_section(table), horizons_section(table), *walk, origin_section(origin, runs)], origin,
-               trust_box(found.trust))
 
 
 class Validated(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 import legid
 from daq import InputError, Rig, WorkError, load_rig
 from estimator import FitError
+from experiments.documents import finite
 from experiments.emulation import EFFECTS, Hidden, record_emulated
 from experiments.excite import random_multisine
 from experiments.workflows import find_change
@@ -194,10 +195,11 @@ def raised(before: Sequence[legid.Dataset], now: Sequence[legid.Dataset], rig: R
     errors = []
     for runs in (before, now):
         try:
-            rows = legid.validate(model, runs, rig, horizons_s=(HORIZON_S,)).document["horizons"]
+            rows = legid.validate(model, runs, rig, horizons_s=(HORIZON_S,)).horizons
         except (FitError, InputError):
             return float("inf")
-        errors.append(next(row["rmse"] for row in rows if row["horizon_s"] == HORIZON_S))
+        errors.append(next({name: finite(error) for name, error in row.rmse.items()} for row in rows
+                           if row.horizon_s == HORIZON_S))
     return float(np.sqrt(np.mean([(errors[1].get(name, np.inf) / error) ** 2 for name, error in errors[0].items()])))
 
 

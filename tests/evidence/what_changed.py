@@ -20,6 +20,7 @@ import legid
 from daq import Dataset, InputError, load_rig
 from estimator import FitError
 from estimator.change import ChangedCause
+from experiments.documents import finite
 from experiments.models import Model
 from experiments.session import as_datasets
 from experiments.workflows import find_change
@@ -92,8 +93,8 @@ def free_run_error(record: str, reference: tuple[int, ...], fault: str, size: fl
         found = legid.validate(model_of(record, reference), test, load_rig(RIGS / RECORDS[record].rig))
     except (FitError, InputError):
         return {}
-    row = next(one for one in found.document["horizons"] if one["horizon_s"] == PIECE_S)
-    return {name: float(error) for name, error in row["rmse"].items()}
+    row = next(one for one in found.horizons if one.horizon_s == PIECE_S)
+    return {name: finite(error) for name, error in row.rmse.items()}
 
 
 def ratio_at(record: str, reference: tuple[int, ...], fault: str, size: float) -> float:

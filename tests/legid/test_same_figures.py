@@ -57,17 +57,17 @@ def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis,
     errors = legid.compare(nominal, extended, tests).found.errors
     both, alone = legid.validate(extended, tests, against=nominal), legid.validate(nominal, tests)
     knee = [(e.a, e.b) for e in errors if e.column == "q2_rad"]
-    rows = list(zip(alone.document["horizons"], both.document["horizons"], strict=True))
+    rows = list(zip(alone.horizons, both.horizons, strict=True))
     assert len(rows) == len(HORIZONS_S)
     for (before, after), (first, row) in zip(knee, rows, strict=True):
-        assert (first["rmse"]["q2_rad"], row["rmse"]["q2_rad"]) == pytest.approx((before, after), rel=SAME)
-        assert row["against"]["rmse"]["q2_rad"] == pytest.approx(before, rel=SAME)
+        assert (first.rmse["q2_rad"], row.rmse["q2_rad"]) == pytest.approx((before, after), rel=SAME)
+        assert row.against and row.against.rmse["q2_rad"] == pytest.approx(before, rel=SAME)
     whole = {e.column: (e.a, e.b) for e in errors if np.isinf(e.horizon_s)}
     assert {"q2_rad", "gyro_radps"} == set(whole) and whole["q2_rad"][0] > 2.0 * whole["q2_rad"][1]
     told = found.document["gain"]["free_run_rmse"]
     for column, (before, after) in whole.items():
         assert (told[column]["before"], told[column]["after"]) == pytest.approx((before, after), rel=SAME), column
     # no sensor reads the pivot: both simulations are compared with the motion of the extended model
-    pivot = (row["against"]["rmse"]["q1_rad"], row["rmse"]["q1_rad"])
+    pivot = (row.against.rmse["q1_rad"], row.rmse["q1_rad"])
     assert (told["q1_rad"]["before"], told["q1_rad"]["after"]) == pytest.approx(pivot, rel=SAME)
     assert both[0].rmse["q2_rad"] == pytest.approx(told["q2_rad"]["after"], rel=SAME)

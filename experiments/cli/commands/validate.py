@@ -32,51 +32,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, compare, print, write what was asked for."""
-    import numpy as np
-
-    from daq import InputError
-    from estimator.prediction import HORIZONS_S
-    from experiments.console import command_line, warn, write_json
-    from experiments.models import load_model
+    from experiments.console import command_line, warn
     from experiments.provenance import origin_of
-    from experiments.reports import (
-        horizons_text,
-        validation_text,
-        walk_text,
-        with_origin,
-    )
-    from experiments.session import prepare
-    from experiments.workflows import seen_in_fit, validate_prepared
+    from legid import load, validate
 
-    model = load_model(args.model)
-    against = load_model(args.against) if args.against else None
     rig = chosen_rig(args, args.runs)
     origin = origin_of(args.runs, rig.source, args.model, command=command_line())
-    prepared = prepare(args.runs, rig.rig, sensors=args.sensors, beta=np.array(model.beta), damaged=args.damaged)
-    setup = prepared.setup
-    if against is not None and against.mechanism.model != model.mechanism.model:
-        raise InputError(args.against, f"is a {against.mechanism.model}, not a {model.mechanism.model}",
-                         "give a model of the same mechanism")
-    for text in prepared.warnings:
+    runs = load(args.runs, rig.rig, args.damaged)
+    found = validate(args.model, runs, rig.rig, args.sensors, args.against, args.horizons, args.simulator)
+    for text in found.warnings:
         warn(text)
-    seen = seen_in_fit(model, origin.runs)
-    if seen:
-        warn(f"{args.model} was fitted to {', '.join(seen)}, which therefore do not validate it; give other runs")
-    found = validate_prepared(model, prepared, args.model, origin.runs, against, args.horizons or HORIZONS_S, True)
-    if args.simulator == "mujoco":
-        from experiments.workflows import compared_text, validate_in_mujoco
-
-        own, found = found, validate_in_mujoco(model, found, args.model)
-        print(compared_text(own, found) + "\n")
-    table, steps, trust = found.table, found.steps, found.trust
-    print("\n".join([trust.sentence, *trust.reasons, "", validation_text(table), horizons_text(table)]))
-    if steps is not None:
-        print(walk_text(steps))
+    print(found.text())
     if args.json:
-        told = {"simulator": args.simulator} if args.simulator != "legid" else {}
-        write_json(args.json, with_origin(found.document | told, origin, setup.datasets))
+        found.to_json(args.json, origin)
     if args.html:
-        from experiments.workflows import write_validation
-
-        write_validation(args.html, found, model, args.model, origin)
+        found.page(args.html, origin)
     return 0

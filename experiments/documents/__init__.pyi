@@ -1,0 +1,12 @@
+from .document import Document as Document
+from .document import Number as Number
+from .document import finite as finite
+from .document import keys_table as keys_table
+from .validation import DOCUMENTED as DOCUMENTED
+from .validation import Horizon as Horizon
+from .validation import RunFit as RunFit
+from .validation import Segment as Segment
+from .validation import ValidationDocument as ValidationDocument
+from .validation import segment_of as segment_of
+from .walk import Walk as Walk
+from .walk import Walked as Walked

@@ -1,0 +1,65 @@
+"""`Document`, what all JSON documents share, and the table of its keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Self, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Meta, Struct, UnsetType
+
+from daq import InputError, read_bytes
+from experiments.provenance import Origin
+
+Number = float | None
+"""Null in a file stands for what is not finite."""
+
+
+Damaged = Annotated[tuple[dict[str, str], ...], Meta(description="damaged runs: `run` and `what` is missing")]
+From = Annotated[Origin | UnsetType, Meta(description="[its files](#provenance)")]
+
+
+def finite(value: Number) -> float:
+    """The number, NaN for null."""
+    return float("nan") if value is None else value
+
+
+class Document(Struct, kw_only=True):
+    """A JSON document: fields are keys, unknown keys of a file are ignored, keys with a default may be missing."""
+
+    @classmethod
+    def read(cls, path: Path | str) -> Self:
+        """The document in the file `path`. Raises `InputError` for a file that is none of this kind."""
+        try:
+            return msgspec.json.decode(read_bytes(path), type=cls)
+        except msgspec.MsgspecError as error:
+            raise InputError(str(path), f"is no such document: {error}", "give one that legid has written") from None
+
+
+def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:
+    """Key, meaning and the struct below it, if any, of the documented fields of `kind`, in their order."""
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if name in kind.__struct_fields__:
+            meaning = next((one.description for one in get_args(hint) if isinstance(one, Meta)), None) or ""
+            yield name, meaning, next(_structs(hint), None)
+
+
+def _structs(hint: object) -> Iterator[type[Struct]]:
+    if isinstance(hint, type) and issubclass(hint, Struct) and get_origin(hint) is None:
+        if hint is not Origin:
+            yield hint
+        return
+    for part in get_args(hint):
+        yield from _structs(part)
+
+
+def keys_table(kind: type[Struct]) -> str:
+    """Markdown table of the keys of `kind`; keys of structs below stand in their own rows, `runs.rmse`."""
+    def rows(one: type[Struct], before: str) -> Iterator[str]:
+        for key, meaning, below in described(one):
+            yield f"| `{before}{key}` | {meaning} |"
+            if below is not None:
+                yield from rows(below, f"{before}{key}.")
+
+    return "\n".join(["| key | meaning |", "| --- | --- |", *rows(kind, "")]) + "\n"

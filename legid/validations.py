@@ -1,0 +1,147 @@
+"""Result of `legid.validate`: the document `legid.validation/1`, with the motion that it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from daq import WorkError
+from estimator.prediction import Validation as PlainValidation
+from estimator.prediction import segments_as
+from experiments.console import write_json
+from experiments.documents import ValidationDocument, finite
+from experiments.models import Model
+from experiments.provenance import Origin, Source
+from experiments.reports import (
+    errors_text,
+    origin_from,
+    validation_rows,
+    whole_validation_text,
+    write_validation,
+)
+from experiments.workflows import ValidationReport, compared_text
+from legid.tables import Shown, frame, html_table, paragraphs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, repr=False)
+class Validation(Shown, PlainValidation):
+    """One gap-free segment of one run: measured against simulated from its first state and torque alone."""
+
+    def to_frame(self) -> DataFrame:
+        """One row a sample, `time_s` [s] as index: angles simulated and measured. Raises `WorkError` without pandas."""
+        unit = "m" if "q1_m" in self.rmse else "rad"
+        columns = {f"q{j + 1}_{what}_{unit}": values[:, j] for j in range(self.q.shape[1])
+                   for what, values in (("simulated", self.q), ("measured", self.reference_q))}
+        return frame({"time_s": self.time_s, **columns}, "time_s")
+
+    def plot(self) -> Figure:
+        """Every joint over time, measured and simulated."""
+        from legid.figures import validation_figure
+
+        return validation_figure([self])
+
+    def __str__(self) -> str:
+        errors = ", ".join(f"{name} {value:.4g}" for name, value in self.rmse.items())
+        return f"{self.run}: {self.horizon_s:.1f} s simulated, rms errors {errors}"
+
+    def _repr_html_(self) -> str:
+        return paragraphs([str(self)])
+
+
+class Measured(NamedTuple):
+    """Free runs, model and files that a document was made from."""
+
+    report: ValidationReport
+    model: Model
+    where: str
+    """Names the model."""
+    sources: tuple[Source, ...]
+    """The run files."""
+    segments: Sequence[Validation]
+
+
+class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
+    """`legid.validation/1` whose segments can be drawn: a sequence of `Validation`.
+
+    Its fields are the keys of the JSON. `Validations.read(path)` gives one of a file, without the segments.
+    """
+
+    @classmethod
+    def made_from(cls, report: ValidationReport, model: Model, where: str, sources: tuple[Source, ...]) -> Validations:
+        """Validations of `model`, which `where` names, on the runs of `sources`."""
+        found = report.as_document(cls)
+        found.__dict__["measured"] = Measured(report, model, where, sources, segments_as(Validation, report.table))
+        return found
+
+    def _measured(self) -> Measured:
+        try:
+            made: Measured = self.__dict__["measured"]
+        except KeyError:
+            raise WorkError("this validation was read from a file, which has no motion; run legid.validate") from None
+        return made
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __iter__(self) -> Iterator[Validation]:
+        return iter(self._measured().segments)
+
+    def __getitem__(self, k: int) -> Validation:
+        return self._measured().segments[k]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings to be read before the result: runs left out, flags of the others, runs that were fitted."""
+        made = self._measured()
+        fitted = f"{made.where} was fitted to {', '.join(self.fitted_to)}, which therefore do not validate it; give " \
+            "other runs"
+        return (*made.report.prepared.warnings, *([fitted] if self.fitted_to else []))
+
+    def text(self) -> str:
+        """Everything that `legid validate` prints."""
+        compared = compared_text(self._measured().report)
+        return (f"{compared}\n\n" if compared else "") + whole_validation_text(self)
+
+    def to_json(self, path: Path | str, origin: Origin | None = None) -> None:
+        """Write the document with its provenance, by default the run files. Raises `InputError`."""
+        write_json(path, self._with(origin))
+
+    def page(self, path: Path | str, origin: Origin | None = None) -> None:
+        """Write the page of `legid validate --html`. Raises `InputError`, and `WorkError` for a document of a file."""
+        made = self._measured()
+        write_validation(path, self._with(origin), made.report.table, made.model, made.where,
+                         made.report.prepared.setup.datasets)
+
+    def _with(self, origin: Origin | None) -> ValidationDocument:
+        known = origin or self.provenance or origin_from(self._measured().sources)
+        return msgspec.structs.replace(self, provenance=known)
+
+    def to_frame(self) -> DataFrame:
+        """One row a segment: run, seconds, whether it diverged, rms error by signal.
+
+        Raises `WorkError` without pandas.
+        """
+        signals = list(self.runs[0].rmse)
+        return frame({"run": [one.run for one in self.runs], "seconds": [one.horizon_s for one in self.runs],
+                      "diverged": [one.diverged for one in self.runs],
+                      **{name: [finite(one.rmse[name]) for one in self.runs] for name in signals}}, "run")
+
+    def plot(self) -> Figure:
+        """Joints down, the first segments across. Raises `WorkError` for a document of a file."""
+        from legid.figures import validation_figure
+
+        return validation_figure(self._measured().segments)
+
+    def __str__(self) -> str:
+        return f"{self.trust}\n\n{errors_text(self.runs)}"
+
+    def _repr_html_(self) -> str:
+        return paragraphs([str(self.trust)]) + html_table(*validation_rows(self.runs))
