@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import fdtrc, stdtrit
 
+from estimator.diagnosis.calibration import calibrated
 from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_budget import budget
@@ -42,7 +43,9 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     found = replace(base, material=context.share, budget=budget(table, decision.answer), rotations=rotations,
                     error=(table.error(NOMINAL), table.error(NOMINAL if decision.answer is None else
                                                              decision.answer.row)),
-                    compared=compared(family, first), probability=probability, remainder=remainder(family, decision))
+                    compared=compared(family, first), in_library=probability,
+                    probability=None if probability is None else calibrated(probability),
+                    remainder=remainder(family, decision))
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
     if decision.within and best is not None:

@@ -206,7 +206,10 @@ class Diagnosis:
     """Only where free runs over whole runs cannot show the gain."""
     budget: tuple[BudgetRow, ...] = ()
     probability: float | None = None
-    """That the answer is true if its causes are among the effects tried (see `probability_of`); None where none is
+    """That the answer is true, by answers to legs whose causes are known (see `calibrated`); None where none is
+    stated"""
+    in_library: float | None = None
+    """The same if its causes are among the effects tried, by these runs (see `probability_of`); None where none is
     stated."""
     error: tuple[float, float] | None = None
     """rms free-run error before and after in units of what noise alone leaves, over all sensors and horizons."""

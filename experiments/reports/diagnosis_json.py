@@ -47,7 +47,7 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = (), used: S
             "joint": found.remainder.joint, "channel": found.remainder.channel,
             "depends_on": found.remainder.depends_on},
         "structure": None if found.structure is None else structure_document(found.structure),
-        "probability": found.probability,
+        "probability": found.probability, "probability_in_library": found.in_library,
         "stability": found.stability,
         "rotations": [{"confirm_runs": list(r.runs), "sizes": dict(r.sizes), "falls": r.falls}
                       for r in found.rotations],

@@ -63,11 +63,12 @@ def candidate_row(candidate: CandidateScore) -> list[str]:
 
 
 def answer_words(found: Diagnosis) -> str:
-    """The probability of the answer, with its condition; empty where none is stated."""
-    if found.probability is None:
+    """The probability of the answer, and the same with its condition; empty where none is stated."""
+    if found.probability is None or found.in_library is None:
         return ""
-    value = "above 0.99" if found.probability > 0.99 else f"{found.probability:.2f}"
-    return f"Probability of this answer: {value}, if the library has the true causes."
+    alone = "above 0.99" if found.in_library > 0.99 else f"{found.in_library:.2f}"
+    return (f"Probability of this answer: {found.probability:.2f}, as on simulated legs; {alone} if the library has "
+            "the true causes.")
 
 
 def hold_words(found: Diagnosis) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL
 from tests.evidence.blind import records
+from tests.evidence.blind.calibration import Stated, fit, table
 from tests.evidence.blind.plan import FAMILIES, PlannedCase
 from tests.evidence.blind.score import NAMES, PRESENT, Outcome, Rate, sizes_inside
 
@@ -83,6 +84,11 @@ class Answer:
     def probability(self) -> float | None:
         """That the diagnosis states of its answer."""
         return self.document.get("probability")
+
+    @property
+    def in_library(self) -> float | None:
+        """The same if the library has the causes."""
+        return self.document.get("probability_in_library")
 
     @property
     def true(self) -> bool:
@@ -234,15 +240,32 @@ def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
         yield _row(["not stated", *(_cell(rate(own, count)) for _, count in BY_RATIO)])
 
 
+def stated_of(answers: Iterable[Answer]) -> list[Stated]:
+    """Answers on simulated legs that have a probability."""
+    return [Stated(a.case.family, a.in_library, a.true) for a in answers if a.in_library is not None]
+
+
 def _reliability(answers: Sequence[Answer]) -> Iterator[str]:
-    """Share of true answers by stated probability, of causes in the library and outside it."""
+    """Share of true answers by stated probability, of causes in the library and outside it; and calibrated anew."""
     stated = [(a, a.probability) for a in answers if a.probability is not None]
+    conditional = [(a, a.in_library) for a in answers if a.in_library is not None]
     yield from ["", "## Stated probability and true answers", "",
-                "The diagnosis states the probability that its causes are exactly those present, if the library has "
-                "them. For `partial`, its causes are among those present. For `none`, nothing material is. Outside the "
-                f"library only `none` can be true, up to {EDGE:g} floors. {len(answers) - len(stated)} of "
-                f"{len(answers)} answers state none.", "",
-                *_head(["stated", "answers", "mean stated", "true", "in the library or healthy", "outside"])]
+                "An answer is true if its causes are exactly those present. For `partial`, its causes are among those "
+                "present. For `none`, nothing material is. Outside the library only `none` can be true, up to "
+                f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.", "",
+                *_by_probability("stated", stated), "",
+                "The probability if the library has the true causes:", "", *_by_probability("if in the library",
+                                                                                            conditional)]
+    known = stated_of(answers)
+    if len({a.family for a in known}) > 1:
+        a, b, c = fit(known)
+        bins = list(pairwise(PROBABILITIES))
+        yield from ["", "Calibrated anew by these answers, each family by all others "
+                    f"(of all: a = {a:.2g}, b = {b:.2g}, c = {c:.2g}):", "", *table(known, bins)]
+
+
+def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Iterator[str]:
+    yield from _head([title, "answers", "mean", "true", "in the library or healthy", "outside"])
     for low, high in [*pairwise(PROBABILITIES), (0.0, 1.0)]:
         own = [(a, p) for a, p in stated if low <= p and (p < high or high == 1.0)]
         groups = [[a for a, _ in own if a.kind not in OUTSIDE], [a for a, _ in own if a.kind in OUTSIDE]]

@@ -10,9 +10,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from estimator.diagnosis.calibration import calibrated
 from tests.evidence.blind import causes, geared, run
+from tests.evidence.blind.calibration import Stated, fit, left_out, table
 from tests.evidence.blind.page import COLUMNS, Column, answer_file, rate, read, sizes, tables
 from tests.evidence.blind.plan import BENCH, FAMILIES, HEALTHY, RECORDS, PlannedCase, choose, one_round, plan
 from tests.evidence.blind.score import Rate
@@ -90,7 +93,8 @@ def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before:
              for c in found]
     answer_file(case, folder).write_text(json.dumps({
         "verdict": verdict, "causes": named, "error": None if before is None else {"before": before, "after": 1.0},
-        "probability": sure, "immaterial": [{"effect": e, "joint": None, "size": []} for e in listed],
+        "probability": sure, "probability_in_library": sure,
+        "immaterial": [{"effect": e, "joint": None, "size": []} for e in listed],
         "bench": {"wall_s": 10.0, "cpu_s": 9.0, "crashed": bool(crashed), "said": crashed}}))
     return case
 
@@ -179,7 +183,7 @@ def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path:
              for k, (sure, family, hidden, verdict, found, before, _) in enumerate(answers)]
     assert [a.true for a in read(cases, tmp_path)] == [true for *_, true in answers]
     text = "\n".join(tables(read(cases, tmp_path), 1)).partition("## Stated probability")[2]
-    assert "1 of 11 answers state none." in text
+    assert "1 of 11 answers state no probability." in text
     rows = [[cell.split(" = ")[0] for cell in line.strip("| ").split(" | ")] for line in text.splitlines()
             if line.startswith(("| 0", "| all"))][:5]
     assert rows == [
@@ -243,3 +247,21 @@ def test_records_alone_have_a_page_of_their_own(tmp_path: Path) -> None:
     text = "\n".join(causes.page(cases, tmp_path, "`make evidence`", [RECORDS], 2))
     assert text.startswith("# Faults put into real records\n") and "Simulators" not in text
     assert "| of these on a0 | 1/2 = 50.0 %" in text
+
+
+def test_a_calibration_finds_the_odds_of_answers_and_asks_other_families() -> None:
+    rng = np.random.default_rng(3)
+    odds = (0.5, 0.3, 0.4)
+    answers = [Stated("ab"[k % 2], p, bool(rng.random() < calibrated(p, odds)))
+               for k, p in enumerate(rng.uniform(0.0, 1.0, 20_000))]
+    assert fit(answers) == pytest.approx(odds, abs=0.1)
+    sure = [calibrated(p, fit(answers)) for p in (0.0, 0.2, 0.9, 1.0)]
+    assert sure == sorted(sure) and sure[0] > 0.0 and sure[-1] < 1.0
+
+    # of two families, one always right and one always wrong, each is told what the other makes likely
+    right = [Stated("right", 0.99, True)] * 50
+    wrong = [Stated("wrong", 0.99, False)] * 50
+    told = left_out([*right, *wrong])
+    assert max(told[:50]) < 0.1 and min(told[50:]) > 0.9
+    assert [line.split(" | ")[-1] for line in table([*right, *wrong], [(0.0, 0.5), (0.5, 1.0)])][2:4] == [
+        "50/50 = 100.0 % (92.9 to 100.0) |", "0/50 = 0.0 % (0.0 to 7.1) |"]

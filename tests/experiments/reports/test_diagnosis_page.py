@@ -29,8 +29,8 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
-            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside",
-            "within_tolerance", "readings"} == set(found)
+            "error", "compared", "structure", "stability", "probability", "probability_in_library", "rotations",
+            "set_aside", "within_tolerance", "readings"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97], "of_error": 0.8, "of_error_ci95": [0.7, 0.87]}
@@ -62,9 +62,10 @@ def test_document_is_the_contract() -> None:
 
 @pytest.mark.parametrize(("probability", "told"), [(0.874, "0.87"), (1.0, "above 0.99"), (None, "")])
 def test_an_answer_states_its_probability_and_the_condition(probability: float | None, told: str) -> None:
-    found = replace(synthetic(), probability=probability)
-    assert diagnosis_document(found)["probability"] == probability
-    line = f"Probability of this answer: {told}, if the library has the true causes."
+    found = replace(synthetic(), probability=None if probability is None else 0.856, in_library=probability)
+    document = diagnosis_document(found)
+    assert (document["probability"], document["probability_in_library"]) == (found.probability, probability)
+    line = f"Probability of this answer: 0.86, as on simulated legs; {told} if the library has the true causes."
     for text in (diagnosis_text(found), " ".join(verdict_box(found).lines)):
         assert (line in text) is bool(told) and ("Probability" in text) is bool(told)
 
