@@ -58,7 +58,7 @@ class ReferenceFit:
 def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float
                   ) -> ReferenceFit:
     """The model that all reference runs share. Raises `FitError` where the fit does not converge."""
-    hold, mechanism, _ = between_samples(datasets, mechanism, options)
+    hold, mechanism, *_ = between_samples(datasets, mechanism, options)
     options = replace(options, hold=hold, smoothing_velocity="given")
     signals = split_signals(datasets, mechanism, options)
     free, beta = free_mask(mechanism, options)

@@ -21,7 +21,7 @@ from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, SizeEstimate, SmallSize
 from estimator.diagnosis.verdict import Decision
-from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size
+from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting import SmallFault, disturbance_levels, imu_levels, torque_levels
 from estimator.model import Mechanism
@@ -337,7 +337,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         fitted = np.array([not s.discrete for s in effect.shapes], dtype=bool)
         held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & fitted)
         told = np.append(explanation.determined[here][: len(effect.sizes)], ~held)
-        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
+        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), interval(model, effect, float(v), float(d)))
                       for s, v, d, known in zip(parts, size, half[here], told) if known)
         near: tuple[str, ...] = ()
         if effect.key in keys:
@@ -347,6 +347,17 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(size), sizes,
                          p_value, explanation.gain, near))
     return out
+
+
+def interval(model: Model, effect: Effect, value: float, half: float) -> tuple[float, float]:
+    """(low, high) of a size: value -+ half.
+
+    A torque's delay depends on how it acts between samples. So its interval also holds the intervals about the delays
+    that the likelihood of the hold found, up to half a sample from the value: the most by which two holds differ.
+    """
+    others = [-delay_s for delay_s in model.split.delays_s if isinstance(effect, TorqueDelay)]
+    near = [value, *(other for other in others if abs(other - value) < 0.5 * model.problem.dt)]
+    return min(near) - half, max(near) + half
 
 
 def with_minor(found: Diagnosis, best: Explanation, more: Explanation, p_value: float) -> Diagnosis:

@@ -80,6 +80,9 @@ class HoldChoice(NamedTuple):
     """How long after the hold says the torque acts, where that is likelier than not at all [s]."""
     imu_age_s: float = 0.0
     """How late the IMU is against encoder and torque, likewise [s]."""
+    apart_s: float = 0.0
+    """How much later the torque acts by the next hold with its own delay, where the evidence hardly tells both apart
+    [s]."""
 
     def __str__(self) -> str:
         if self.margin < PRIOR:
@@ -175,8 +178,10 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
         nearest = holds[int(np.argmin(np.abs(rate * late - np.array([lag(hold) for hold in holds]))))]
         if not _evidence(0.0, late - lag(nearest) / rate, std, 1.0 / rate).delay_s:
             return HoldChoice(nearest, margin, HELD if family == FIRST else FIRST)
-    if ahead > -max(PRIOR, _shape(line.std_s, 1.0 / rate)):
-        return HoldChoice(HELD, ahead, FIRST, delay / rate)
+    alike = max(PRIOR, _shape(line.std_s, 1.0 / rate))
+    apart = (centre - (delay + lag(HELD)) / rate) * (abs(ahead) <= alike)
+    if ahead > -alike:
+        return HoldChoice(HELD, ahead, FIRST, delay / rate, apart_s=apart)
     return HoldChoice(FIRST, -ahead, HELD, centre)
 
 

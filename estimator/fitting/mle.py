@@ -167,6 +167,8 @@ class BetweenSamples(NamedTuple):
     """With these velocities."""
     delay_s: float = 0.0
     """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
+    others_s: tuple[float, ...] = ()
+    """That by the next hold, where these data hardly tell both apart."""
 
 
 def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
@@ -176,7 +178,8 @@ def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     problem, _, chosen = _search_hold(signals, mechanism, options, *mask)
     if chosen is None:
         return BetweenSamples(problem.collocation.hold, problem.mechanism)
-    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s)
+    others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
+    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s, others)
 
 
 def find_command_delay(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> float | None:

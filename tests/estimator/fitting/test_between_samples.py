@@ -62,7 +62,7 @@ def test_a_controller_s_torque_is_recognised_as_smooth() -> None:
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto")
     found = fit([run], mechanism, options)
     assert found.hold == "smooth" and (found.hold_margin or 0.0) > 5.0
-    hold, known, _ = between_samples([run], mechanism, options)  # without the rest of a fit
+    hold, known, *_ = between_samples([run], mechanism, options)  # without the rest of a fit
     assert hold == found.hold and known == found.mechanism
     line = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="linear"))
     assert found.noise["torque_nm"] < line.noise["torque_nm"]
