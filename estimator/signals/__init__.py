@@ -11,7 +11,7 @@ from estimator.signals.channels import (
     imu_channels,
     torque_of,
 )
-from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, input_by_law
+from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, earlier, input_by_law
 from estimator.signals.filters import causal, encoder_level, lowpass, quantum, white_noise_level
 from estimator.signals.imu import (
     IMU_COLUMNS,
@@ -45,7 +45,8 @@ __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "STANCE", "SUPPLY",
     "Channel", "Commands", "Kind", "Kinematics", "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at",
     "accelerometer_slopes", "angle_column", "by_run", "causal", "command_columns", "commands_of", "cut",
-    "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
+    "cut_steps", "differentiate", "earlier", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels",
+    "imu_columns",
     "imu_readings", "input_by_law", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum",
     "sight", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
     "with_earlier_imu",
