@@ -17,11 +17,12 @@ Value = float | FloatArray
 class Loop:
     """The position loop of one driven joint, or what it is at each instant of several runs.
 
-        w = clip(gain (c - q) + damping (feedforward c' - q') + integral Int (c - q) dt, +-limit)
+        w = clip(gain (c - q) + damping (feedforward c' - r) + integral Int (c - q) dt, +-limit)
         u = clip(per_volt supply w - braking q', +-most)
 
-    Command c and its rate are those of `delay_s` before. All is held for `period_s`, so that on average it acts half
-    a period late. A drive that makes torque has per_volt = supply = 1. A motor on voltage has w for duty,
+    Command c and its rate are those of `delay_s` before, behind a low pass of first order with the time constant
+    `command_filter_s`. r is q' behind one with `velocity_filter_s`. All is held for `period_s`, so that on average it
+    acts half a period late. A drive that makes torque has per_volt = supply = 1. A motor on voltage has w for duty,
     per_volt = k / R and braking = k^2 / R, with torque constant k and resistance R.
     """
 
@@ -43,6 +44,8 @@ class Loop:
     """[N m/V]"""
     braking: Value = 0.0
     """[N m s/rad]"""
+    velocity_filter_s: Value = 0.0
+    command_filter_s: Value = 0.0
     most: Value = np.inf
     """Torque at the drive's largest current [N m]"""
 

@@ -12,8 +12,9 @@ from daq.loop import Loop
 Gain = Annotated[float, Meta(gt=0, le=1e6)]
 Share = Annotated[float, Meta(ge=0, le=1e6)]
 Delay = Annotated[float, Meta(ge=-1, le=1)]
-LATENESS, SCALE = "command_delay", "torque_gain"
-"""Effects that the tolerances of a delay and of a gain are of."""
+Lag = Annotated[float, Meta(ge=0, le=1)]
+LATENESS, SCALE, LAG = "command_delay", "torque_gain", "velocity_filter"
+"""Effects that the tolerances of a delay, of a gain and of a filter of the rate are of."""
 
 
 class ServoTolerance(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -21,6 +22,8 @@ class ServoTolerance(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     gain: Share = 0.0
     delay_s: Share = 0.0
+    command_filter_s: Share = 0.0
+    velocity_filter_s: Share = 0.0
 
 
 class Servo(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,16 +35,21 @@ class Servo(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     gain: Gain | tuple[Gain, ...] | None = None
     """[N m/rad], of duty [1/rad]; None: a fit finds it from one parameter that is given, the same at all joints"""
-    damping: Share | tuple[Share, ...] = 0.0
-    """[N m s/rad], of duty [s/rad]"""
-    integral: Share | tuple[Share, ...] = 0.0
-    """[N m/(rad s)], of duty [1/(rad s)]; it begins at zero with every run"""
+    damping: Share | tuple[Share, ...] | None = None
+    """[N m s/rad], of duty [s/rad]; None: a fit estimates it where the runs show it"""
+    integral: Share | tuple[Share, ...] | None = None
+    """[N m/(rad s)], of duty [1/(rad s)]; it begins at zero with every run; None: as with the damping"""
     feedforward: Annotated[float, Meta(ge=0, le=2)] = 0.0
     """Share of the commanded rate in what the damping acts on"""
     limit: Gain | tuple[Gain, ...] | None = None
-    """[N m], of duty at most 1; None: the servo has enough"""
+    """[N m], of duty at most 1; None: as with the damping"""
     delay_s: Delay | None = None
     """How late a command acts; None: a fit estimates it"""
+    velocity_filter_s: Lag = 0.0
+    """Time constant of the low pass of first order behind which the damping has the measured rate (SimpleFOC:
+    LPF_velocity.Tf)"""
+    command_filter_s: Lag = 0.0
+    """The same of the command and its rate"""
     rate_hz: Annotated[float, Meta(gt=0, le=1e6)] | None = None
     """Of the loop, which holds its torque from tick to tick; None: fast"""
     supply_v: Gain | None = None
@@ -65,13 +73,19 @@ class Servo(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return Loop(1.0 if gain is None else gain, damping or 0.0, integral or 0.0, self.feedforward,
                     math.inf if most is None or gain is None else most, self.delay_s or 0.0,
                     0.0 if self.rate_hz is None else 1.0 / self.rate_hz, supply, k / r if motor else 1.0,
-                    k * k / r if motor else 0.0, k * self.current_a if motor and self.current_a else math.inf)
+                    k * k / r if motor else 0.0, self.velocity_filter_s, self.command_filter_s,
+                    k * self.current_a if motor and self.current_a else math.inf)
 
     @property
     def tolerances(self) -> dict[str, tuple[float, ...]]:
         """Effect to the tolerance of its size."""
         gains = self.gain if isinstance(self.gain, tuple) else (self.gain,)
-        found: dict[str, tuple[float, ...]] = {LATENESS: (self.tolerance.delay_s,)} if self.tolerance.delay_s else {}
+        found: dict[str, tuple[float, ...]] = {}
+        late = math.hypot(self.tolerance.delay_s, self.tolerance.command_filter_s)  # a slow filter is a delay
+        if late:
+            found[LATENESS] = (late,)
+        if self.tolerance.velocity_filter_s:
+            found[LAG] = (self.tolerance.velocity_filter_s,)
         if self.tolerance.gain and gains[0]:
             found[SCALE] = (self.tolerance.gain / gains[0],)
         return found

@@ -15,6 +15,7 @@ from .result import TWO_SIDED as TWO_SIDED
 from .result import Combination as Combination
 from .result import Finding as Finding
 from .result import FitResult as FitResult
+from .result import LoopTerm as LoopTerm
 from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise
 from .result import Trajectory as Trajectory

@@ -95,8 +95,9 @@ class FitOptions:
     named has its default, or none where there is a key `none`. None: all are zero."""
     gear_ratio: float = 1.0
     """Of the motor."""
-    unknown_delay: bool = False
-    """mle on one motion only: whether the delay of commands is estimated, of joints whose loop makes the torque."""
+    unknown_loop: tuple[str, ...] = ()
+    """mle on one motion only: keys of `[servo]` that are estimated with the parameters, of joints whose loop makes the
+    torque: delay_s, limit, integral, damping."""
     seeks_omitted: bool = False
     """mle on one motion only: whether the fit looks for listed effects that would move its parameters."""
     latent: str = "trajectory"

@@ -227,6 +227,26 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class LoopTerm:
+    """One value of a position loop that a fit has estimated together with the parameters."""
+
+    key: str
+    """Of `[servo]`"""
+    joint: int
+    """0-based"""
+    value: float
+    """As it acts, what the rig file states included; SI"""
+    std: float
+    found: bool = True
+    """Whether the runs show it: else they are as likely without it, and the fit leaves it out."""
+
+    @property
+    def half(self) -> float:
+        """Half of the 95 % interval."""
+        return TWO_SIDED * self.std
+
+
+@dataclass(frozen=True)
 class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
@@ -275,6 +295,8 @@ class FitResult:
     """Asked for by `FitOptions.seeks_omitted`."""
     budget: Budget | None = None
     """Where the tolerances of the rig are not all zero; the covariance has them in it."""
+    loop: tuple[LoopTerm, ...] = ()
+    """Values of position loops that were estimated"""
     prior: tuple[PriorValue, ...] = ()
     prior_conflict: float = 0.0
     """Standard deviations, by known value, by which the runs are likelier without the prior."""

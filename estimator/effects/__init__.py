@@ -25,6 +25,8 @@ from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.loop_integral import RecordedMotion, SimulatedIntegral, summed
+from estimator.effects.loop_values import DampingValue, LimitValue, VelocityFilter
+from estimator.effects.missing_integral import MissingIntegral
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
 from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
 from estimator.effects.sensor_time_skew import SensorTimeSkew
@@ -41,6 +43,7 @@ __all__ = [
     "BodyEffect",
     "CommandDelay",
     "Commanded",
+    "DampingValue",
     "Effect",
     "EncoderEffect",
     "EncoderOffset",
@@ -50,6 +53,8 @@ __all__ = [
     "ImuEffect",
     "LawEffect",
     "Laws",
+    "LimitValue",
+    "MissingIntegral",
     "Perturbation",
     "PlanKind",
     "Points",
@@ -68,6 +73,7 @@ __all__ = [
     "TorqueDelay",
     "TorqueEffect",
     "Variable",
+    "VelocityFilter",
     "View",
     "battery",
     "by_motion",

@@ -28,7 +28,7 @@ class Told:
         between samples; the first of a segment before it."""
         whole = np.minimum(np.floor(place + 1e-9).astype(np.intp), len(self.first) - 1)
         begin = self.first[whole].astype(np.float64)
-        at = np.maximum(place - np.nan_to_num(late_s) / self.dt_s, begin)
+        at = np.clip(place - np.nan_to_num(late_s) / self.dt_s, begin, whole + 1.0)
         k = np.minimum(np.floor(at).astype(np.intp), np.broadcast_to(whole, at.shape))
         share = np.clip(at - k, 0.0, 1.0)
         joints = np.arange(len(self.angle)).reshape(-1, *(1,) * (place.ndim))
@@ -84,13 +84,14 @@ class Commanded:
         stated.
 
         A loop that holds for a period T sees the motion T / 2 before, q - v T/2 + a T^2/8, to which order its torque is
-        that of the ticks on average.
+        that of the ticks on average. A low pass of the rate with the time constant F adds F to its T / 2.
         """
         held = 0.5 * np.asarray(self.loop.period_s)
         angle, rate = self.heard
         if late_s:
             angle, rate = self.told.at(self.place, held + self.loop.delay_s + late_s)
-        return angle - (q - held * v + 0.5 * held**2 * a), self.loop.feedforward * rate - (v - held * a)
+        rate_late = held + self.loop.velocity_filter_s
+        return angle - (q - held * v + 0.5 * held**2 * a), self.loop.feedforward * rate - (v - rate_late * a)
 
     def input(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """(n, ...) input [N m] that the loops make at a motion (n, ...); zero at a joint without one."""

@@ -13,7 +13,9 @@ from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend, iterate
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
 from estimator.fitting.latent_motion import converge_motion
-from estimator.fitting.mle import describe_smoothing_velocity, find_command_delay
+from estimator.fitting.loop_limit import limit_met
+from estimator.fitting.loop_terms import UNLIMITED
+from estimator.fitting.mle import describe_smoothing_velocity, find_loop
 from estimator.fitting.next_measurement import CALIBRATED, Measurement, body_unit, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken_torques
@@ -28,6 +30,7 @@ __all__ = [
     "MAX_ITERATIONS",
     "PASSIVE_SHARE",
     "TORQUE_SHARE",
+    "UNLIMITED",
     "Disturbance",
     "MarginalLikelihood",
     "Measurement",
@@ -42,8 +45,8 @@ __all__ = [
     "disturbance_levels",
     "disturbance_likelihood",
     "faults",
-    "find_command_delay",
     "find_disturbance",
+    "find_loop",
     "fit",
     "fit_admissible",
     "fit_each",
@@ -53,6 +56,7 @@ __all__ = [
     "imu_levels",
     "iterate",
     "known_noise",
+    "limit_met",
     "mistaken_torques",
     "next_measurement",
     "noise_floors",

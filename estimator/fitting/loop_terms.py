@@ -9,18 +9,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
-from estimator.effects import CommandDelay, Effect
+from daq import FloatArray, Loop
+from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Stage, State
 from estimator.options import FitOptions
-from estimator.result import TWO_SIDED
+from estimator.result import LoopTerm
 from estimator.signals import SignalSet
 
+KINDS: dict[str, type[Effect]] = {"delay_s": CommandDelay, "limit": LimitValue, "integral": MissingIntegral,
+                                  "damping": DampingValue}
+"""Key of `[servo]` -> the effect whose size it is, in the order in which they are tried."""
 LATEST_S = 0.2
 """Largest delay of a command that is believed."""
+FACTOR = 1.5
+"""By which a limit may differ from where it is sought"""
+UNLIMITED = 1e6
+"""Limit from which on a loop has none"""
+LEAST_GAIN, SURE = 0.01, 3.3
+"""Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
 Extra = tuple[tuple[Effect, FloatArray], ...]
 """Terms that are estimated with a fit, and are none of its parameters."""
 
@@ -30,8 +39,20 @@ class Loops(NamedTuple):
 
     state: State
     """Without their sizes"""
-    extra: Extra
-    told: tuple[str, ...]
+    extra: Extra = ()
+    terms: tuple[LoopTerm, ...] = ()
+    value: float = np.inf
+    """-2 log likelihood"""
+
+
+class Fitted(NamedTuple):
+    """A fit that loops are added to."""
+
+    problem: LatentProblem
+    state: State
+    signals: Sequence[SignalSet]
+    free: NDArray[np.bool_]
+    options: FitOptions
 
 
 def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect]) -> LatentProblem:
@@ -45,37 +66,97 @@ def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequ
     return found.with_disturbance() if problem.disturbed else found
 
 
-def with_loop_terms(problem: LatentProblem, state: State, signals: Sequence[SignalSet], free: NDArray[np.bool_],
-                    options: FitOptions) -> Loops:
-    """The fit with the delay of every command whose loop makes the torque, where the rig states none.
+def with_loop_terms(fitted: Fitted, keys: Sequence[str]) -> Loops:
+    """The fit with the values `keys` of every loop that makes the torque of its joint.
 
     It stays as it was where a fit with them does not converge.
     """
-    late = [CommandDelay(j) for j in problem.mechanism.followers] if options.unknown_delay else []
-    if not state.converged or not late:
-        return Loops(state, (), ())
-    wide, count = extended(problem, signals, late), len(late)
-    begin = State(state.x, np.append(state.beta, np.zeros(count)), state.noise.levels(),
+    state = fitted.state
+    own = [(key, j, start) for key in KINDS if key in keys for j in fitted.problem.mechanism.followers
+           if (start := _start(fitted, key, j)) is not None]
+    if not own:
+        return Loops(state, value=value_of(fitted.problem, state))
+    effects, starts = [KINDS[key](j) for key, j, _ in own], [start for *_, start in own]
+    wide, count = extended(fitted.problem, fitted.signals, effects), len(own)
+    begin = State(state.x, np.append(state.beta, starts), state.noise.levels(),
                   np.zeros((state.beta.size + count,) * 2))
     try:
-        again = iterate(wide, begin, np.append(free, np.ones(count, dtype=bool)), options,
+        again = iterate(wide, begin, np.append(fitted.free, np.ones(count, dtype=bool)), fitted.options,
                         noise_floors(wide, wide.mechanism, state.beta))
     except (FitError, np.linalg.LinAlgError):
-        return Loops(state, (), ())
-    delays, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
-    if not again.converged or np.abs(delays).max() > LATEST_S:
-        return Loops(state, (), ())
+        return Loops(state, value=value_of(fitted.problem, state))
+    sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
+    if not again.converged or not all(map(_believed, own, sizes)):
+        return Loops(state, value=value_of(fitted.problem, state))
     p = state.beta.size
     short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
                   state.iterations + again.iterations, misfit=again.misfit)
-    known = [_delay_of(signals, effect.joint or 0) for effect in late]
-    told = tuple(f"commands of joint {(effect.joint or 0) + 1} act {1e3 * (delay + first):.3g} ms late, "
-                 f"+-{1e3 * TWO_SIDED * one:.2g} ms, by this motion; corrected"
-                 for effect, delay, one, first in zip(late, delays, std, known))
-    return Loops(short, tuple((effect, np.array([delay])) for effect, delay in zip(late, delays)), told)
+    terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
+                  for (key, j, _), size, one in zip(own, sizes, std))
+    return Loops(short, tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms,
+                 value_of(wide, again))
 
 
-def _delay_of(signals: Sequence[SignalSet], joint: int) -> float:
-    """Delay [s] that the loops of a joint have already."""
-    loop = signals[0].commands and signals[0].commands.loops[joint]
-    return float(loop.delay_s) if loop else 0.0
+def _believed(one: tuple[str, int, float], size: float) -> bool:
+    """Whether a value is near where it was sought. With a limit near zero all parameters and the noise would be zero,
+    too, which the likelihood takes for the best of fits."""
+    key, _, start = one
+    if key == "limit":
+        return start / FACTOR < size < start * FACTOR
+    return key != "delay_s" or abs(size) <= LATEST_S
+
+
+def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]:
+    """Values of loops by the runs: those of the keys `sure`, then of each other key of `options.unknown_loop` whether
+    the runs show it."""
+    now = with_loop_terms(fitted, sure)
+    rest = [key for key in KINDS if key in fitted.options.unknown_loop and key not in sure]
+    keys, told = list(sure), list[LoopTerm]()
+    for key in rest:
+        if key == "damping" and not _tells_damping(fitted, now.terms):
+            continue
+        tried = with_loop_terms(fitted, [*keys, key])
+        own = [one for one in tried.terms if one.key == key]
+        fall = now.value - tried.value
+        shown = fall > max(LEAST_GAIN * fitted.problem.total, SURE**2) and any(
+            one.value > SURE * one.std for one in own)
+        told += [] if shown else [replace(one, found=False) for one in own]
+        if shown:
+            now, keys = tried, [*keys, key]
+    sized = [replace(one, found=one.key == "delay_s" or one.value > SURE * one.std) for one in now.terms]
+    return (*sized, *told)
+
+
+def value_of(problem: LatentProblem, state: State) -> float:
+    """-2 log likelihood of a state."""
+    return problem.motion_equations(state.x, state.beta, state.noise).objective + 2.0 * problem.log_volume(state.noise)
+
+
+def _start(fitted: Fitted, key: str, joint: int) -> float | None:
+    """Size of a value from which it is sought; None where the runs cannot show it."""
+    if key != "limit":
+        return 0.0
+    stated = _stated_limit(fitted.signals, joint)
+    return stated if np.isfinite(stated) else None
+
+
+def _tells_damping(fitted: Fitted, terms: Sequence[LoopTerm]) -> bool:
+    """Whether a loop damps otherwise than viscous friction: by the commanded rate, or within a limit that is met."""
+    loops = [loop for j in fitted.problem.mechanism.followers if (loop := _loop(fitted.signals, j)) is not None]
+    return any(loop.feedforward for loop in loops) or any(one.key == "limit" for one in terms) or any(
+        np.isfinite(_stated_limit(fitted.signals, j)) for j in fitted.problem.mechanism.followers)
+
+
+def _loop(signals: Sequence[SignalSet], joint: int) -> Loop | None:
+    return signals[0].commands.loops[joint] if signals[0].commands is not None else None
+
+
+def _stated_limit(signals: Sequence[SignalSet], joint: int) -> float:
+    loop = _loop(signals, joint)
+    return np.inf if loop is None or float(loop.limit) >= UNLIMITED else float(loop.limit)
+
+
+def _stated(signals: Sequence[SignalSet], key: str, joint: int) -> float:
+    """What the loop of a joint has already of a value that its size is added to."""
+    loop = _loop(signals, joint)
+    return 0.0 if loop is None or key == "limit" else float(getattr(loop, key))

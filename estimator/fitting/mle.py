@@ -34,7 +34,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import rough_age, with_skew
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
-from estimator.fitting.loop_terms import Extra, extended, with_loop_terms
+from estimator.fitting.loop_terms import Extra, Fitted, extended, find_loop_terms, with_loop_terms
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
 from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
@@ -47,7 +47,7 @@ from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
-from estimator.result import FitResult, Trajectory
+from estimator.result import FitResult, LoopTerm, Trajectory
 from estimator.score import (
     SensorFaults,
     agreement_of,
@@ -128,7 +128,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
         options = replace(options, hold=chosen.hold)
         problem, state = _search(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
-    loops = with_loop_terms(problem, state, signals, free, options)
+    loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
     state, extra = loops.state, loops.extra
     skew, found = None, None
     aged = known.aged or age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
@@ -153,9 +153,9 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found, *loops.told)
+    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found)
                  if text is not None)
-    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value, options.hold,
+    return _Fitted(replace(result, assumptions=(*result.assumptions, *said), loop=loops.terms), value, options.hold,
                    known._replace(aged=aged), faults, less)
 
 
@@ -182,13 +182,13 @@ def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s, others)
 
 
-def find_command_delay(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> float | None:
-    """The delay [s] of commands by the motion of joints whose loop makes the torque, their mean; None where it does not
-    say. Raises `FitError`."""
+def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
+              ) -> tuple[LoopTerm, ...]:
+    """Values of `options.unknown_loop` by the motion of joints whose loop makes the torque; see `find_loop_terms`.
+    Raises `FitError`."""
     signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
     problem, state, _ = _search_hold(signals, mechanism, options, *mask)
-    found = with_loop_terms(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")).extra
-    return float(np.mean([size[0] for _, size in found])) if found else None
+    return find_loop_terms(Fitted(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")), sure)
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:

@@ -106,14 +106,17 @@ def stack_regressors(signals: Sequence[SignalSet], motions: Sequence[Kinematics]
     The common filter keeps tau = Z beta true for the filtered values: torque carries the steps of Coulomb
     friction that the filtered angles cannot show.
     """
-    zs, taus = [], []
-    for s, k in zip(signals, motions):
-        z = mechanism.regressor(k.q, k.qd, k.qdd)
-        edge = min(len(z) // 10, int(0.5 * s.rate_hz / (cutoff_hz or s.rate_hz)))
-        inner = slice(edge, len(z) - edge)
-        zs.append(lowpass(z, cutoff_hz, s.rate_hz, order)[inner])
-        taus.append(lowpass(s.torque, cutoff_hz, s.rate_hz, order)[inner])
-    return np.concatenate(zs), np.concatenate(taus)
+    z = stacked([mechanism.regressor(k.q, k.qd, k.qdd) for k in motions], signals[0].rate_hz, cutoff_hz, order)
+    return z, stacked([s.torque for s in signals], signals[0].rate_hz, cutoff_hz, order)
+
+
+def stacked(values: Sequence[FloatArray], rate_hz: float, cutoff_hz: float | None, order: int) -> FloatArray:
+    """(m, ...) values (N, ...) of segments through the low pass, without its ends."""
+    found = []
+    for x in values:
+        edge = min(len(x) // 10, int(0.5 * rate_hz / (cutoff_hz or rate_hz)))
+        found.append(lowpass(x, cutoff_hz, rate_hz, order)[edge : len(x) - edge])
+    return np.concatenate(found)
 
 
 def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[NDArray[np.bool_], FloatArray]:

@@ -23,6 +23,7 @@ from estimator.effects import (
     ImuEffect,
     LawEffect,
     Size,
+    VelocityFilter,
     battery,
     classes,
     library,
@@ -65,6 +66,7 @@ def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated
     m, encoders = problem.mechanism, [int(j) for j in np.flatnonzero(problem.has_encoder)]
     taken = {one.effect.key for one in own} | {effect.key for effect in problem.effects}
     listed = [effect for effect in library(m, problem.has_imu, encoders)[0] if effect.key not in taken]
+    listed += [VelocityFilter(j) for j in m.followers]
     found = [Candidate(effect, shape) for effect in listed if any(_stated(effect, stated))
              for shape in _thinned(effect)]
     generic = [] if ONLY in stated and STRUCTURE not in stated else battery(m, problem.has_imu, encoders)

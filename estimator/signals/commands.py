@@ -58,6 +58,8 @@ def _told(columns: Mapping[str, FloatArray], loop: Loop, joint: int, where: slic
     named, rate_named = command_columns(joint)
     angle = columns[named][where]
     rate = columns[rate_named][where] if rate_named in columns else np.gradient(angle, 1.0 / rate_hz)
+    lag = float(loop.command_filter_s)
+    angle, rate = lagged(angle, lag, rate_hz), lagged(rate, lag, rate_hz)
     own = next((columns[name][where] for name in SUPPLY if name in columns), np.ones_like(angle))
     return angle, rate, own if np.isnan(loop.supply) else np.full_like(angle, loop.supply)
 
@@ -68,6 +70,20 @@ def earlier(x: FloatArray, late_s: float, rate_hz: float) -> FloatArray:
         return x
     at = np.arange(len(x), dtype=np.float64)
     return np.interp(at - late_s * rate_hz, at, x)
+
+
+def lagged(x: FloatArray, time_constant_s: float, rate_hz: float) -> FloatArray:
+    """x of a segment (N,) behind a low pass of first order, exact for x linear between samples, its first value before
+    it."""
+    if not time_constant_s:
+        return x
+    from scipy.signal import lfilter
+
+    ratio = time_constant_s * rate_hz
+    kept = np.exp(-1.0 / ratio)
+    share = ratio * (1.0 - kept)
+    found, _ = lfilter([1.0 - share, share - kept], [1.0, -kept], x, zi=share * x[:1])
+    return np.asarray(found)
 
 
 def input_by_law(commands: Commands, joint: int, angle: FloatArray, rate_hz: float, cutoff_hz: float | None = None,
@@ -84,6 +100,7 @@ def input_by_law(commands: Commands, joint: int, angle: FloatArray, rate_hz: flo
     error = earlier(commands.angle[:, joint], late, rate_hz) - earlier(angle, held, rate_hz)
     cutoff_hz = min(FASTEST_HZ, 0.1 * rate_hz) if cutoff_hz is None else cutoff_hz
     rate = np.gradient(lowpass(angle, cutoff_hz, rate_hz, order), 1.0 / rate_hz)
-    rate_error = loop.feedforward * earlier(commands.rate[:, joint], late, rate_hz) - earlier(rate, held, rate_hz)
+    seen = lagged(rate, float(loop.velocity_filter_s), rate_hz)
+    rate_error = loop.feedforward * earlier(commands.rate[:, joint], late, rate_hz) - earlier(seen, held, rate_hz)
     summed = np.concatenate([[0.0], np.cumsum(0.5 * (error[1:] + error[:-1]))]) / rate_hz
     return loop.acting(loop.wanted(error, rate_error, summed), rate, commands.supply[:, joint])

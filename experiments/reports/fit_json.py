@@ -42,6 +42,8 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "prior_conflict": result.prior_conflict,
         "measure_next": None if (advice := next_measurement(result)) is None else advice.document,
         "budget": budget_document(result),
+        "loop": [{"key": one.key, "joint": one.joint + 1, "value": one.value, "found": one.found,
+                  "ci95": [one.value - one.half, one.value + one.half]} for one in result.loop],
         "tolerances_enlarged": {} if result.budget is None else dict(result.budget.enlarged),
         "noise": noise_document(result.noise),
         "noise_by_run": _by_run(result),

@@ -13,6 +13,7 @@ from daq import Dataset, Disturbance, InputError, Rig, did_you_mean, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
+from estimator.effects import VelocityFilter
 from estimator.fitting import has_torque
 from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
 from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
@@ -69,7 +70,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
                              f"it has {', '.join(mechanism.names)}{bodies}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
     if rig.servo is not None and mechanism.followers:
-        options = replace(options, unknown_delay=rig.servo.delay_s is None,
+        options = replace(options, unknown_loop=() if rig.servo.delay_s is not None else ("delay_s",),
                           hold=SMOOTH if options.hold == "auto" else options.hold)
     if options.hold == "auto" and rig.timing.control_period_s is not None and datasets:
         options = replace(options, hold=hold_of(1.0 / (datasets[0].rate_hz * rig.timing.control_period_s)))
@@ -89,7 +90,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
 def stated_tolerances(rig: Rig, mechanism: Mechanism) -> dict[str, tuple[float, ...]] | None:
     """Those of the rig file; None where all are zero. Raises `InputError` for a name that no effect has."""
     found = dict(rig.tolerances)
-    known = (*default_tolerances(), STRUCTURE, ONLY) if set(found) - {TORQUE_GAIN, ONLY} else (TORQUE_GAIN, ONLY)
+    always = VelocityFilter.name, TORQUE_GAIN, ONLY
+    known = always if set(found) <= set(always) else (*default_tolerances(), STRUCTURE, *always)
     joints = {str(j + 1) for j in range(mechanism.n)}
     for key in found:
         name, _, joint = key.partition("@")

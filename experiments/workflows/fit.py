@@ -11,7 +11,7 @@ from msgspec import structs
 
 from daq import Dataset, InputError, Rig
 from estimator import Finding, FitError, FitResult, Method
-from estimator.fitting import fit_admissible, with_second_opinion
+from estimator.fitting import UNLIMITED, fit_admissible, with_second_opinion
 from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered
 from estimator.score import TORQUE_GAIN
@@ -31,15 +31,13 @@ from experiments.session import (
     suspect,
     with_choices,
 )
-from experiments.workflows.command_delay import find_late_commands
+from experiments.workflows.loop_values import LoopValues, find_loop_values, in_units, loop_findings
 from experiments.workflows.servo_gain import scaled
 
 NOISY = 0.2
 """Share of a torque's spread that, put down to noise, asks whether the angles err by more than their encoder shows."""
 NEARLY_ALL = 0.98
 """Share of the samples from which on a fit does not say how many it has used."""
-UNLIMITED = 1e6
-"""Torque limit [rad of error] of a servo in units of its gain."""
 NOT_WHITE = 0.25
 """Such a share that remains at the end is said: intervals take it for white. (On two real arms the published values lie
 up to eight half widths away.)"""
@@ -88,13 +86,13 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
     gainless = rig.servo is not None and rig.servo.gain is None and any(needs_law(data, rig) for data in datasets)
     name, value = _gain_teller(rig, fixed) if gainless else ("", 0.0)
     used = _in_units_of_gain(rig) if gainless else rig
-    late = find_late_commands(datasets, used, sensors) if choose and method == "mle" else None
-    given = () if late is None else (late,)
+    loop = find_loop_values(datasets, used, sensors) if choose and method == "mle" else LoopValues()
+    given = loop.choices
     prepared = prepare(datasets, with_choices(used, given), sensors=sensors, fixed=None if gainless else fixed,
                        latent=latent, choose=choose)
     setup, choices = prepared.setup, (*given, *prepared.choices)
-    if late is not None:
-        setup = replace(setup, options=replace(setup.options, unknown_delay=True))
+    unknown = dict.fromkeys((*setup.options.unknown_loop, *(choice.key for choice in given)))
+    setup = replace(setup, options=replace(setup.options, unknown_loop=tuple(unknown)))
     if gainless and name not in setup.mechanism.names:
         raise InputError("--fix", f"{rig.mechanism.model} has no parameter {name}",
                          f"it has {', '.join(setup.mechanism.names)}")
@@ -109,13 +107,17 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
     findings = [*_of_runs(prepared), *_of_samples(result, setup.datasets), *_noise_findings(result),
                 *result.findings, *wrong,
                 *(Finding("assumption", "run_note", text) for text in setup.notes),
-                *(Finding("assumption", "choice", str(choice)) for choice in choices)]
+                *(Finding("assumption", "choice", str(choice)) for choice in choices if choice not in given)]
     choices = (*choices, *_found_smoothing(setup.mechanism, result.mechanism))  # its fit has said so
-    gain, known = None, with_choices(rig, choices)
-    if gainless and known.servo is not None:
+    gain, result = None, replace(result, loop=(*result.loop, *loop.hidden))
+    if gainless:
         result, size, half = scaled(result, name, value)
-        gain, known = (size, size - half, size + half), structs.replace(
-            known, servo=structs.replace(known.servo, gain=size))
+        gain, choices = (size, size - half, size + half), in_units(choices, size)
+    known = with_choices(rig, choices)
+    if known.servo is not None and choose and method == "mle":
+        findings += loop_findings(result, known.servo)
+    if gain is not None and known.servo is not None:
+        known = structs.replace(known, servo=structs.replace(known.servo, gain=gain[0]))
         findings.append(_gain_finding(gain, rig, result.mechanism, f"{name} = {value:g}"))
     return Fitted(setup, _joined(result, findings), known, choices, prepared.set_aside, prepared.flags, gain)
 

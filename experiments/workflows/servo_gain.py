@@ -40,8 +40,11 @@ def scaled(result: FitResult, name: str, value: float) -> tuple[FitResult, float
     if budget is not None:
         budget = replace(budget, moved=slope @ budget.moved, parts=tuple(
             replace(part, directions=part.directions @ slope.T) for part in budget.parts))
+    share = float(result.std[k]) / known
+    loop = tuple(one if one.key == "delay_s" else replace(
+        one, value=gain * one.value, std=gain * float(np.hypot(one.std, share * one.value))) for one in result.loop)
     return replace(
-        result, beta=gain * result.beta, covariance=covariance, noise=torques(dict(result.noise)),
+        result, loop=loop, beta=gain * result.beta, covariance=covariance, noise=torques(dict(result.noise)),
         torque_residual_rms=gain * result.torque_residual_rms, fixed={name: value}, agreement=agreement, budget=budget,
         at_bound={held: gain * upper for held, upper in result.at_bound.items()},
         run_noise=own and RunNoise(own.runs, {channel: levels * (gain if channel.endswith("_nm") else 1.0)

@@ -41,6 +41,8 @@ def test_arrays_of_several_segments() -> None:
 def test_a_delay_and_a_gain_with_tolerances_are_in_the_budget() -> None:
     table = RIG + "gain = 8.0\ndelay_s = 0.01\n[servo.tolerance]\ngain = 0.4\ndelay_s = 0.002\n"
     assert parse_rig(table).tolerances == {"torque_gain": (0.05,), "command_delay": (0.002,)}
+    filtered = parse_rig(table + "command_filter_s = 0.0015\nvelocity_filter_s = 0.003\n").tolerances
+    assert filtered["command_delay"] == pytest.approx((0.0025,)) and filtered["velocity_filter"] == (0.003,)
     assert parse_rig(table + "[tolerance]\ntorque_gain = 0.01\n").tolerances["torque_gain"] == (0.01,)
     assert parse_rig(table + "[tolerance]\nnone = true\n").tolerances == {"none": ()}
 
@@ -48,7 +50,9 @@ def test_a_delay_and_a_gain_with_tolerances_are_in_the_budget() -> None:
 @pytest.mark.parametrize(("servo", "what"), [
     ("integral = 0.1\n", "says nothing without servo.gain"),
     ("gain = 1.0\nresistance_ohm = 3.0\n", "one of resistance_ohm"),
-    ("gain = 1.0\nrate_hz = 0.0\n", "rate_hz"), ("gain = 1.0\ndelay_s = -1.1\n", "delay_s")])
+    ("gain = 1.0\nrate_hz = 0.0\n", "rate_hz"),
+    ("gain = 1.0\nvelocity_filter_s = -0.1\n", "velocity_filter_s"),
+    ("gain = 1.0\ndelay_s = -1.1\n", "delay_s")])
 def test_a_table_that_says_too_little_is_refused(servo: str, what: str) -> None:
     with pytest.raises(InputError, match=what):
         parse_rig(RIG + servo)

@@ -35,6 +35,9 @@ class ServoFaults:
     """[rad]"""
     step: float = 0.0
     """Of the command [rad]"""
+    velocity_filter_s: float = 0.0
+    command_filter_s: float = 0.0
+    """Time constants of low passes of first order"""
 
 
 def follow(leg: Leg, rng: np.random.Generator, *, gain: float, damping: float = 0.0, limit: float = np.inf,
@@ -76,12 +79,16 @@ class _Servo:
         self.gain, self.damping, self.limit, self.faults, self.period_s = gain, damping, limit, faults, period_s
         self.queue: deque[float] = deque(maxlen=late + 1)
         self.summed = 0.0
+        self.rate, self.goal = 0.0, float("nan")
 
     def torque(self, command: float, angle: float, rate: float) -> float:
         """[N m] at a tick."""
         f = self.faults
         self.queue.append(command)
         goal = self.queue[0]
+        self.rate = rate + self._kept(f.velocity_filter_s) * (self.rate - rate)
+        self.goal = goal if self.goal != self.goal else goal + self._kept(f.command_filter_s) * (self.goal - goal)
+        goal, rate = self.goal, self.rate
         if f.step:
             goal = round(goal / f.step) * f.step
         error = goal - angle
@@ -92,6 +99,10 @@ class _Servo:
         most = min(self.limit, f.limit)
         wanted = float(np.clip(wanted, -most, most))
         return wanted / (1.0 + f.sag * abs(wanted))
+
+
+    def _kept(self, time_constant_s: float) -> float:
+        return float(np.exp(-self.period_s / time_constant_s)) if time_constant_s else 0.0
 
 
 def with_torque(run: Dataset, servo: str) -> Dataset:

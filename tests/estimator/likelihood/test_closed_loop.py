@@ -23,7 +23,8 @@ QUANTUM = 2.0 * np.pi / COUNTS
 MODEL = FittedModel(replace(leg2(), followers=(1,), velocity_scale=0.02), "smooth", LEG.beta())
 LOOPS = {"stiff": "gain = 20.0\ndamping = 0.3\n", "limited": "gain = 8.0\ndamping = 0.1\nlimit = 0.6\n",
          "slow": "gain = 5.0\ndamping = 0.15\nrate_hz = 50.0\n", "late": "gain = 6.0\ndamping = 0.1\ndelay_s = 0.02\n",
-         "integrating": "gain = 5.0\ndamping = 0.15\nintegral = 3.0\n"}
+         "integrating": "gain = 5.0\ndamping = 0.15\nintegral = 3.0\n",
+         "filtered": "gain = 6.0\ndamping = 0.3\nvelocity_filter_s = 0.01\ncommand_filter_s = 0.03\n"}
 
 
 def recorded(loop: str, seed: int = 3) -> Dataset:
@@ -33,7 +34,8 @@ def recorded(loop: str, seed: int = 3) -> Dataset:
     return with_torque(follow(
         LEG, np.random.default_rng(seed), gain=said["gain"], damping=said["damping"], limit=said.get("limit", np.inf),
         loop_hz=said.get("rate_hz", 1000.0), seconds=6.0, amplitude=0.8,
-        faults=ServoFaults(delay_s=said.get("delay_s", 0.0), integral=said.get("integral", 0.0))), LOOPS[loop])
+        faults=ServoFaults(**{name: said.get(name, 0.0) for name in (
+            "delay_s", "integral", "velocity_filter_s", "command_filter_s")})), LOOPS[loop])
 
 
 def ran(one: SmoothedRun, horizon_s: float = np.inf) -> FreeRun:

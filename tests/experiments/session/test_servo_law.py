@@ -18,6 +18,7 @@ from experiments.cli import main
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
@@ -80,6 +81,61 @@ def test_a_delay_that_nobody_states_is_found_and_taken_off(tmp_path: Path, leg: 
     assert chosen["table"] == "servo" and chosen["value"] == pytest.approx(0.0122, abs=5e-4)
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.01)
     assert any("act 12" in text or "act 11.9" in text for text in told["assumptions"])
+
+
+def loop_of(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {one["key"]: one for one in told["loop"]}
+
+
+@pytest.mark.parametrize(("servo", "fix"), [(f"gain = {GAIN}\n", False), ("", True)])
+def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp_path: Path, leg: Leg, servo: str,
+                                                                            fix: bool) -> None:
+    rng = np.random.default_rng(55)
+    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, limit=LIMIT, faults=ServoFaults(delay_s=0.008, integral=2.0),
+                   name=f"own{k}") for k in range(3)]
+    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    found = loop_of(told)
+    for key, truth, close in (("limit", LIMIT, 0.01), ("damping", DAMPING, 0.02), ("integral", 2.0, 0.01)):
+        low, high = found[key]["ci95"]
+        assert found[key]["value"] == pytest.approx(truth, rel=close) and 0.0 < high - low < 4.0 * close * truth
+        assert any(c["key"] == key and c["table"] == "servo" for c in told["chosen"])
+    assert found["delay_s"]["value"] == pytest.approx(0.008, abs=8e-4)
+    assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.02)
+    assert values(told)[6] == pytest.approx(leg.beta()[6], abs=0.003)  # without the loop's damping
+
+
+def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -> None:
+    rng = np.random.default_rng(57)
+    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, name=f"plain{k}") for k in range(3)]
+    told = fitted(tmp_path, runs, f"gain = {GAIN}\n")
+    found, said = loop_of(told), " ".join(told["assumptions"])
+    low, high = found["integral"]["ci95"]
+    assert not found["integral"]["found"] and low < 0.0 < high < 0.2
+    assert set(found) <= {"delay_s", "integral"}
+    assert not [c for c in told["chosen"] if c["key"] in ("limit", "integral")]
+    assert "beta7 has the damping of joint 2's loop in it" in said and "servo.damping states it" in said
+    assert "meet no limit; servo.limit states it" in said and "servo.integral states it" in said
+    assert values(told)[6] == pytest.approx(leg.beta()[6] + DAMPING, rel=0.05)
+    stated = fitted(tmp_path, runs, f"gain = {GAIN}\ndamping = {DAMPING}\nintegral = 0.0\nlimit = 20.0\n")
+    assert not any("servo." in text and "states it" in text for text in stated["assumptions"])
+
+
+def test_filters_of_rate_and_command_are_taken_into_account(tmp_path: Path, leg: Leg) -> None:
+    rng = np.random.default_rng(58)
+    runs = [follow(leg, rng, gain=GAIN, damping=0.4, faults=ServoFaults(velocity_filter_s=0.01, command_filter_s=0.02),
+                   name=f"slow{k}") for k in range(3)]
+    law = f"gain = {GAIN}\ndamping = 0.4\nintegral = 0.0\nlimit = 20.0\ndelay_s = 0.0\n"
+    known = fitted(tmp_path, runs, f"{law}velocity_filter_s = 0.01\ncommand_filter_s = 0.02\n")
+    assert values(known)[:5] == pytest.approx(leg.beta()[:5], rel=0.02)
+
+
+def test_a_filter_of_the_rate_that_is_uncertain_widens_the_inertia() -> None:
+    runs = [servo_run(f"run{k}", seed=k) for k in (1, 2, 3)]
+    law = ('[mechanism]\nmodel = "joint1"\nactuated = [1]\n[tolerance]\n{0}\n[servo]\ngain = 4.0\ndamping = 0.1\n'
+           'integral = 0.0\nlimit = 20.0\ndelay_s = 0.0\n')
+    found = [legid.fit(runs, parse_rig(law.format(stated))).document["parameters"][0]["std"]
+             for stated in ("none = true", "none = true\nvelocity_filter = 0.01")]
+    assert np.sqrt(found[1] ** 2 - found[0] ** 2) == pytest.approx(0.1 * 0.01, rel=0.1)
 
 
 @pytest.mark.slow
