@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from daq.rig import load_rig
 from estimator import Combination, Finding, FitOptions, fit
@@ -131,7 +132,7 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
     box = trust_box(found)
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
-    long = replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
+    long = structs.replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
     assert trust_box(long).title == "B IS BETTER" and trust_box(long).lines[0].startswith("Word word")
 
 
