@@ -26,7 +26,7 @@ from .api import write_plan as write_plan
 from .changes import Change as Change
 from .changes import Investigation as Investigation
 from .changes import Watching as Watching
-from .listings import Comparison as Comparison
+from .comparisons import Comparison as Comparison
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation
 from .listings import Gains as Gains

@@ -60,7 +60,8 @@ from experiments.workflows import (
     with_reference_terms,
 )
 from legid.changes import Change, Investigation, Watching
-from legid.listings import Comparison, Tuning
+from legid.comparisons import Comparison
+from legid.listings import Tuning
 from legid.results import Dataset, Diagnosis, FitResult, dressed, sources_of
 from legid.validations import Validation, Validations
 
@@ -153,7 +154,7 @@ def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, 
     found = validate_prepared(one, prepared, where, files, other, _lengths(horizons_s), True)
     if simulator == "mujoco":
         found = validate_in_mujoco(one, found, where)
-    return Validations.made_from(found, one, where, files)
+    return Validations.made_from(found, one, where, origin_from(files))
 
 
 @overload
@@ -223,7 +224,7 @@ def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | No
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     given, known = _given(runs, rig)
     found = compare_models((a, b), names, given, known, sensors, _lengths(horizons_s))
-    return Comparison(found, given, sources_of(given), a.mechanism.model)
+    return Comparison.made_from(found, given, a.mechanism.model, origin_from(sources_of(given)))
 
 
 def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,

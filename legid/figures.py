@@ -15,7 +15,8 @@ from estimator import FitResult
 from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.judge import Comparison, Investigation, Watched
+from experiments.documents import ComparisonDocument
+from experiments.judge import Investigation, Watched
 from experiments.reports import (
     BLUE,
     GREEN,
@@ -151,18 +152,18 @@ def tuning_figure(found: Tuning) -> Figure:
     return figure
 
 
-def comparison_figure(found: Comparison) -> Figure:
+def comparison_figure(found: ComparisonDocument) -> Figure:
     """The error of B over that of A, a row each horizon and sensor, with its 95 % interval; below 1, B is better."""
-    errors = [e for e in found.errors if np.isfinite(e.a + e.b) and e.a > 0.0]
+    errors = [e for e in found.errors if e.ratio is not None]
     figure = NotebookFigure(figsize=(7.2, 0.8 + 0.22 * max(len(errors), 4)), layout="constrained")
     ax = figure.subplots()
-    ratio = np.array([e.b / e.a for e in errors])
+    ratio = np.array([e.ratio for e in errors])
     for k, e in enumerate(errors):
-        if e.ci95 is not None:
-            ax.plot(e.ci95, [k, k], color=GREY, linewidth=1.6)
+        if e.ratio_ci95 is not None:
+            ax.plot(e.ratio_ci95, [k, k], color=GREY, linewidth=1.6)
     ax.plot(ratio, np.arange(len(errors)), "o", color=BLUE, markersize=4.0)
     ax.axvline(1.0, color=ORANGE, linewidth=0.9)
-    ax.set_yticks(range(len(errors)), [f"{'whole' if np.isinf(e.horizon_s) else f'{e.horizon_s:g} s'}, {e.column}"
+    ax.set_yticks(range(len(errors)), [f"{'whole' if e.horizon_s is None else f'{e.horizon_s:g} s'}, {e.column}"
                                        for e in errors])
     ax.invert_yaxis()
     ax.set_xlabel("rms error of B over that of A")

@@ -6,33 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from daq import Column, write_file
-from daq import Dataset as PlainDataset
 from daq.recording import Plan
 from experiments.exchange import Guess as PlainGuess
 from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
-from experiments.judge import Comparison as PlainComparison
-from experiments.judge import comparison_trust
 from experiments.models import Gains as PlainGains
 from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
 from experiments.reports import (
     GUESS_HEADER,
     Source,
-    comparison_document,
-    comparison_text,
     guess_rows,
     guess_section,
     guess_table,
     guess_verdict,
-    origin_from,
-    write_comparison,
     write_document,
     write_page,
 )
-from experiments.session import damaged_runs
 from experiments.workflows import Tuning as PlainTuning
 from experiments.workflows import tuning_document, tuning_rows, tuning_text
 from legid.tables import Shown, frame, html_table, paragraphs
@@ -231,69 +221,3 @@ class Tuning(Shown):
         head = html_table(["entry", "chosen", "why", "what it changes"], rows) if rows else paragraphs(
             ["no change: rig.toml predicts best as it is"])
         return head + paragraphs(flags)
-
-
-@dataclass(frozen=True, repr=False)
-class Comparison(Shown):
-    """Two models on the same runs: parameters, free-run errors over horizons, and which one is better."""
-
-    found: PlainComparison
-    runs: tuple[PlainDataset, ...] = ()
-    """What was given."""
-    sources: tuple[Source, ...] = ()
-    """The run files."""
-    mechanism: str = ""
-    """Name of the models' mechanism."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.comparison/1`, as `legid compare --json` writes it."""
-        used = [run for run in self.runs if run.name in self.found.runs]
-        return {**comparison_document(self.found), "damaged": damaged_runs(used)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, self.sources)
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid compare --html`. Raises `InputError`."""
-        write_comparison(path, self.found, self.mechanism, self.runs, origin_from(self.sources))
-
-    @property
-    def trust(self) -> str:
-        """The better model, and where: the first line of `legid compare`."""
-        return comparison_trust(self.found).sentence
-
-    def to_frame(self, what: str = "errors") -> DataFrame:
-        """`errors`: one row a horizon and sensor, rms errors and their ratio; `parameters`: one row a parameter.
-
-        A horizon of infinity is a whole segment. Raises `ValueError` for any other `what`, `WorkError` without pandas.
-        """
-        if what == "parameters":
-            rows = self.found.parameters
-            values = {name: [np.nan if one is None else one.value for one in some]
-                      for name, some in (("a", [p.a for p in rows]), ("b", [p.b for p in rows]))}
-            return frame({"parameter": [p.name for p in rows], **values, "z": [p.z for p in rows],
-                          "unit": [p.unit for p in rows], "meaning": [p.meaning for p in rows]}, "parameter")
-        if what != "errors":
-            raise ValueError(f"{what!r} is neither 'errors' nor 'parameters'")
-        errors = self.found.errors
-        intervals = [(np.nan, np.nan) if e.ci95 is None else e.ci95 for e in errors]
-        return frame({"horizon_s": [e.horizon_s for e in errors], "column": [e.column for e in errors],
-                      "a": [e.a for e in errors], "b": [e.b for e in errors],
-                      "ratio": [e.b / e.a if np.isfinite(e.a + e.b) and e.a > 0.0 else np.nan for e in errors],
-                      "low": [low for low, _ in intervals], "high": [high for _, high in intervals],
-                      "better": [e.better for e in errors]})
-
-    def plot(self) -> Figure:
-        """The error of B over that of A at every horizon and sensor, with its 95 % interval."""
-        from legid.figures import comparison_figure
-
-        return comparison_figure(self.found)
-
-    def __str__(self) -> str:
-        return comparison_text(self.found)
-
-    def _repr_html_(self) -> str:
-        rows = [[f"{e.horizon_s:g} s", e.column, f"{e.a:.3g}", f"{e.b:.3g}", e.better] for e in self.found.errors]
-        return paragraphs([self.trust]) + html_table(["horizon", "sensor", "rms error of A", "of B", "better"], rows)

@@ -7,18 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import msgspec
-
 from daq import WorkError
 from estimator.prediction import Validation as PlainValidation
 from estimator.prediction import segments_as
-from experiments.console import write_json
 from experiments.documents import ValidationDocument, finite
 from experiments.models import Model
-from experiments.provenance import Origin, Source
+from experiments.provenance import Origin
 from experiments.reports import (
     errors_text,
-    origin_from,
     validation_rows,
     whole_validation_text,
     write_validation,
@@ -63,8 +59,6 @@ class Measured(NamedTuple):
     model: Model
     where: str
     """Names the model."""
-    sources: tuple[Source, ...]
-    """The run files."""
     segments: Sequence[Validation]
 
 
@@ -75,10 +69,11 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
     """
 
     @classmethod
-    def made_from(cls, report: ValidationReport, model: Model, where: str, sources: tuple[Source, ...]) -> Validations:
-        """Validations of `model`, which `where` names, on the runs of `sources`."""
+    def made_from(cls, report: ValidationReport, model: Model, where: str, origin: Origin) -> Validations:
+        """Validations of `model`, which `where` names, made from the files of `origin`."""
         found = report.as_document(cls)
-        found.__dict__["measured"] = Measured(report, model, where, sources, segments_as(Validation, report.table))
+        found.__dict__["measured"] = Measured(report, model, where, segments_as(Validation, report.table))
+        found.provenance = origin
         return found
 
     def _measured(self) -> Measured:
@@ -110,19 +105,10 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
         compared = compared_text(self._measured().report)
         return (f"{compared}\n\n" if compared else "") + whole_validation_text(self)
 
-    def to_json(self, path: Path | str, origin: Origin | None = None) -> None:
-        """Write the document with its provenance, by default the run files. Raises `InputError`."""
-        write_json(path, self._with(origin))
-
-    def page(self, path: Path | str, origin: Origin | None = None) -> None:
+    def page(self, path: Path | str) -> None:
         """Write the page of `legid validate --html`. Raises `InputError`, and `WorkError` for a document of a file."""
         made = self._measured()
-        write_validation(path, self._with(origin), made.report.table, made.model, made.where,
-                         made.report.prepared.setup.datasets)
-
-    def _with(self, origin: Origin | None) -> ValidationDocument:
-        known = origin or self.provenance or origin_from(self._measured().sources)
-        return msgspec.structs.replace(self, provenance=known)
+        write_validation(path, self, made.report.table, made.model, made.where, made.report.prepared.setup.datasets)
 
     def to_frame(self) -> DataFrame:
         """One row a segment: run, seconds, whether it diverged, rms error by signal.

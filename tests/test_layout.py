@@ -25,7 +25,8 @@ ROOMS = {
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
                     ["rig", "excite", "emulation", "session"], ["judge"], ["documents"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["cli"]],
-    "legid": [["tables", "figures"], ["results", "listings", "changes", "validations"], ["api", "tools"]],
+    "legid": [["tables", "figures"], ["results", "listings", "changes", "validations", "comparisons"],
+              ["api", "tools"]],
     "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
                 ["run_casebook", "run_monte_carlo"]],
 }

@@ -1,8 +1,11 @@
+from .comparison import ComparisonDocument as ComparisonDocument
+from .comparison import ErrorPair as ErrorPair
+from .comparison import Value as Value
 from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite
 from .document import keys_table as keys_table
-from .validation import DOCUMENTED as DOCUMENTED
+from .known import DOCUMENTED as DOCUMENTED
 from .validation import Horizon as Horizon
 from .validation import RunFit as RunFit
 from .validation import Segment as Segment

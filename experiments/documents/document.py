@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta, Struct, UnsetType
 
 from daq import InputError, read_bytes
+from experiments.console import write_json
 from experiments.provenance import Origin
 
 Number = float | None
@@ -35,6 +36,10 @@ class Document(Struct, kw_only=True):
             return msgspec.json.decode(read_bytes(path), type=cls)
         except msgspec.MsgspecError as error:
             raise InputError(str(path), f"is no such document: {error}", "give one that legid has written") from None
+
+    def to_json(self, path: Path | str) -> None:
+        """Write the document. Raises `InputError` where that place cannot be written."""
+        write_json(path, self)
 
 
 def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:

@@ -88,10 +88,6 @@ class ValidationDocument(Document, kw_only=True):
                    walk=UNSET if steps is None else Walk.of(steps), damaged=tuple(damaged_runs(used)))
 
 
-DOCUMENTED: dict[str, type[Document]] = {"validation": ValidationDocument}
-"""Name of a document -> its struct, of those whose table of keys is made from it."""
-
-
 def run_fits(table: PredictionTable) -> tuple[RunFit, ...]:
     """One entry a run."""
     def band(k: int) -> ByColumn:

@@ -9,7 +9,6 @@ from .change_page import drawn_changes as drawn_changes
 from .change_page import paint_changes as paint_changes
 from .change_page import write_change as write_change
 from .chart import Line as Line
-from .comparison import comparison_document as comparison_document
 from .comparison import comparison_text as comparison_text
 from .comparison_page import write_comparison as write_comparison
 from .diagnosis_figures import error_bars as error_bars

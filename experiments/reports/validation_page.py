@@ -12,7 +12,7 @@ from estimator.prediction import SHORT_S, PredictionTable, Validation, validatio
 from experiments.console import text_table
 from experiments.documents import RunFit, Segment, ValidationDocument, finite
 from experiments.models import Model
-from experiments.provenance import Origin
+from experiments.provenance import origin_of
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
 from experiments.reports.horizons import horizons_section, horizons_text
@@ -145,7 +145,7 @@ def write_validation(path: Path | str, found: ValidationDocument, table: Predict
     """Write the page of a validation of `model`, which `where` names, on `runs`. Raises `InputError` where that place
     cannot be written."""
     count = len(found.fit_percent)
-    origin = found.provenance or Origin(version="", commit="")
+    origin = found.provenance or origin_of()
     write_page(path, f"Validation of {where}",
                f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
                f"simulated against {count} run{'s' * (count != 1)}.",

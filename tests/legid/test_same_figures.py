@@ -9,6 +9,7 @@ import pytest
 import legid
 from daq.runs.csv_run import write_csv
 from estimator.prediction import HORIZONS_S
+from experiments.documents import finite
 from experiments.judge import diagnosed_model
 from tests.support.mujoco_leg import Leg, record
 
@@ -54,7 +55,7 @@ def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis,
         models.append(legid.load_model(tmp_path / f"{name}.json"))
     nominal, extended = models
     tests = [run for run in runs if run.name in found.confirm_runs]
-    errors = legid.compare(nominal, extended, tests).found.errors
+    errors = legid.compare(nominal, extended, tests).errors
     both, alone = legid.validate(extended, tests, against=nominal), legid.validate(nominal, tests)
     knee = [(e.a, e.b) for e in errors if e.column == "q2_rad"]
     rows = list(zip(alone.horizons, both.horizons, strict=True))
@@ -62,7 +63,7 @@ def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis,
     for (before, after), (first, row) in zip(knee, rows, strict=True):
         assert (first.rmse["q2_rad"], row.rmse["q2_rad"]) == pytest.approx((before, after), rel=SAME)
         assert row.against and row.against.rmse["q2_rad"] == pytest.approx(before, rel=SAME)
-    whole = {e.column: (e.a, e.b) for e in errors if np.isinf(e.horizon_s)}
+    whole = {e.column: (finite(e.a), finite(e.b)) for e in errors if e.horizon_s is None}
     assert {"q2_rad", "gyro_radps"} == set(whole) and whole["q2_rad"][0] > 2.0 * whole["q2_rad"][1]
     told = found.document["gain"]["free_run_rmse"]
     for column, (before, after) in whole.items():

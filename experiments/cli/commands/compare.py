@@ -108,13 +108,10 @@ def _compare_models(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import InputError
-    from estimator.prediction import HORIZONS_S
-    from experiments.console import command_line, write_json
+    from experiments.console import command_line
     from experiments.models import load_model
     from experiments.provenance import origin_of
-    from experiments.reports import comparison_document, comparison_text, with_origin
-    from experiments.session import load_runs
-    from experiments.workflows import compare_models
+    from legid import compare, load
 
     for option, given in (("--workers", args.workers), ("--cluster", args.cluster)):
         if given:
@@ -127,15 +124,13 @@ def _compare_models(args: argparse.Namespace) -> int:
     models = load_model(paths[0]), load_model(paths[1])
     rig = chosen_rig(args, args.runs)
     origin = origin_of(args.runs, rig.source, models=paths, command=command_line())
-    runs = load_runs(args.runs, rig.rig, args.damaged)
+    runs = load(args.runs, rig.rig, args.damaged)
     files = (Path(paths[0]).name, Path(paths[1]).name)
-    found = compare_models(models, paths if files[0] == files[1] else files, runs, rig.rig, args.sensors,
-                           args.horizons or HORIZONS_S)
-    print(comparison_text(found))
+    found = compare(*models, runs, rig.rig, args.sensors, paths if files[0] == files[1] else files, args.horizons)
+    found.provenance = origin
+    print(found)
     if args.json:
-        write_json(args.json, with_origin(comparison_document(found), origin, runs))
+        found.to_json(args.json)
     if args.html:
-        from experiments.reports import write_comparison
-
-        write_comparison(args.html, found, models[0].mechanism.model, runs, origin)
+        found.page(args.html)
     return 0

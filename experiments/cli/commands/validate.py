@@ -43,8 +43,9 @@ def run(args: argparse.Namespace) -> int:
     for text in found.warnings:
         warn(text)
     print(found.text())
+    found.provenance = origin
     if args.json:
-        found.to_json(args.json, origin)
+        found.to_json(args.json)
     if args.html:
-        found.page(args.html, origin)
+        found.page(args.html)
     return 0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from daq.rig import load_rig
 from estimator import Combination, Finding, FitOptions, fit
@@ -16,13 +17,14 @@ from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
 from estimator.result import OmittedEffect
 from experiments import cli
+from experiments.documents import ComparisonDocument
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
 from experiments.excite.multisine import random_multisine
 from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
 from experiments.judge.residuals import autocorrelation, cross_correlation, fit_percent, residuals_of, torque_step
 from experiments.judge.trust import fit_trust, validation_trust
-from experiments.reports.comparison import comparison_document, comparison_text
+from experiments.reports.comparison import comparison_text
 from experiments.reports.comparison_page import comparison_sections
 from experiments.reports.html import render_page, trust_box
 from tests.support.fits import synthetic_fit
@@ -131,7 +133,7 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
     box = trust_box(found)
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
-    long = replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
+    long = structs.replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
     assert trust_box(long).title == "B IS BETTER" and trust_box(long).lines[0].startswith("Word word")
 
 
@@ -234,6 +236,8 @@ def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     one = tabulate([prediction(0.1, 0.1)])
     found = Comparison(("a.json", "b.json"), (), tuple(errors), one.joined_with(one), ("r",), ())
     assert comparison_trust(found).sentence.startswith(words)
-    text, document = comparison_text(found), comparison_document(found)
-    assert "nan" not in text.replace("scan", "") and document["trust"]["sentence"].startswith(words)
-    assert "data-tone" in render_page("t", "s", comparison_sections(found), verdict=trust_box(comparison_trust(found)))
+    document = ComparisonDocument.of(found)
+    text = comparison_text(document)
+    assert "nan" not in text.replace("scan", "") and str(document.trust).startswith(words)
+    assert "data-tone" in render_page("t", "s", comparison_sections(document, found.table),
+                                      verdict=trust_box(document.trust))

@@ -1,0 +1,88 @@
+"""`legid.comparison/1`: two models on the same runs, as `legid compare --json` writes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+from msgspec import UNSET, Meta, Struct
+
+from daq import Dataset
+from experiments.documents.document import Damaged, Document, From, Number
+from experiments.judge import Comparison, Estimate, HorizonError, Trust, comparison_trust
+from experiments.session import SetAside, damaged_runs
+
+
+class Value(Struct, frozen=True, kw_only=True):
+    """A parameter as one model has it."""
+
+    value: Annotated[float, Meta(description="in the unit")]
+    std: Annotated[Number, Meta(description="standard deviation, or null")]
+    ci95: Annotated[tuple[Number, Number], Meta(description="95 % interval, or nulls")]
+
+
+class Pair(Struct, frozen=True, kw_only=True):
+    """One parameter, or size of an effect, in both models."""
+
+    name: Annotated[str, Meta(description="the parameter, or effect and size")]
+    unit: Annotated[str, Meta(description="its unit")]
+    meaning: Annotated[str, Meta(description="its meaning")]
+    a: Annotated[Value | None, Meta(description="in model A; null if it has none")]
+    b: Annotated[Value | None, Meta(description="in model B")]
+    z: Annotated[Number, Meta(description="B less A over its standard deviation, or null")]
+
+
+class ErrorPair(Struct, frozen=True, kw_only=True):
+    """Free-run rms errors of one sensor over one horizon."""
+
+    horizon_s: Annotated[Number, Meta(description="length of the pieces [s]; null: whole segments")]
+    column: Annotated[str, Meta(description="the sensor")]
+    a: Annotated[Number, Meta(description="rms error of A; null if it diverged")]
+    b: Annotated[Number, Meta(description="rms error of B")]
+    ratio: Annotated[Number, Meta(description="B / A")]
+    ratio_ci95: Annotated[tuple[float, float] | None, Meta(description="its 95 % interval, or null")]
+    better: Annotated[str | None, Meta(description="A, B or null")]
+
+    @property
+    def length_s(self) -> float:
+        """Length of the pieces [s]; infinite for whole segments."""
+        return math.inf if self.horizon_s is None else self.horizon_s
+
+
+class ComparisonDocument(Document, kw_only=True):
+    """Two models on the same runs: parameters, free-run errors over horizons, and which one is better."""
+
+    schema: Annotated[Literal["legid.comparison/1"], Meta(description="of this document")] = "legid.comparison/1"
+    models: Annotated[tuple[str, str], Meta(description="A and B")]
+    runs: Annotated[tuple[str, ...], Meta(description="that were used")]
+    parameters: Annotated[tuple[Pair, ...], Meta(description="one entry a parameter")]
+    errors: Annotated[tuple[ErrorPair, ...], Meta(description="one entry a horizon and sensor")]
+    trust: Annotated[Trust, Meta(description="the first line: the better model, and where")]
+    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    damaged: Damaged = ()
+    provenance: From = UNSET
+
+    @classmethod
+    def of(cls, found: Comparison, runs: Sequence[Dataset] = ()) -> Self:
+        """The document of a comparison on `runs`."""
+        return cls(models=found.files, runs=found.runs,
+                   parameters=tuple(Pair(name=p.name, unit=p.unit, meaning=p.meaning, a=_value(p.a), b=_value(p.b),
+                                         z=p.z) for p in found.parameters),
+                   errors=tuple(map(_errors, found.errors)), trust=comparison_trust(found),
+                   set_aside=found.set_aside, damaged=tuple(damaged_runs(runs)))
+
+
+def _value(one: Estimate | None) -> Value | None:
+    return None if one is None else Value(value=one.value, std=_known(one.std),
+                                          ci95=(_known(one.low), _known(one.high)))
+
+
+def _errors(e: HorizonError) -> ErrorPair:
+    ratio = e.b / e.a if math.isfinite(e.a + e.b) and e.a > 0.0 else None
+    return ErrorPair(horizon_s=_known(e.horizon_s), column=e.column, a=_known(e.a), b=_known(e.b), ratio=ratio,
+                     ratio_ci95=e.ci95, better=e.better or None)
+
+
+def _known(value: float) -> Number:
+    return value if math.isfinite(value) else None

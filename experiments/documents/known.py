@@ -1,0 +1,8 @@
+"""Documents whose table of keys is made from their struct."""
+
+from experiments.documents.comparison import ComparisonDocument
+from experiments.documents.document import Document
+from experiments.documents.validation import ValidationDocument
+
+DOCUMENTED: dict[str, type[Document]] = {"validation": ValidationDocument, "comparison": ComparisonDocument}
+"""By the name of the verb's result."""

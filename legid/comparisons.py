@@ -1,0 +1,84 @@
+"""Result of `legid.compare` of two models: the document `legid.comparison/1`, with the free runs of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from daq import Dataset, WorkError
+from experiments.documents import ComparisonDocument, finite
+from experiments.judge import Comparison as Found
+from experiments.judge import horizon_text
+from experiments.provenance import Origin
+from experiments.reports import comparison_text, write_comparison
+from legid.tables import Shown, frame, html_table, paragraphs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+class Compared(NamedTuple):
+    """Free runs, runs and mechanism that a document was made from."""
+
+    found: Found
+    runs: tuple[Dataset, ...]
+    mechanism: str
+
+
+class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
+    """`legid.comparison/1`: its fields are the keys of the JSON. `Comparison.read(path)` gives one of a file."""
+
+    @classmethod
+    def made_from(cls, found: Found, runs: Sequence[Dataset], mechanism: str, origin: Origin) -> Comparison:
+        """The comparison of two models of `mechanism` on `runs`."""
+        made = cls.of(found, [run for run in runs if run.name in found.runs])
+        made.__dict__["compared"] = Compared(found, tuple(runs), mechanism)
+        made.provenance = origin
+        return made
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid compare --html`. Raises `InputError`, and `WorkError` for a document of a file."""
+        known = self.__dict__.get("compared")
+        if known is None:
+            raise WorkError("this comparison was read from a file, which has no motion; run legid.compare")
+        write_comparison(path, self, known.found.table, known.mechanism, known.runs)
+
+    def to_frame(self, what: str = "errors") -> DataFrame:
+        """`errors`: one row a horizon and sensor, rms errors and their ratio; `parameters`: one row a parameter.
+
+        A horizon of infinity is a whole segment. Raises `ValueError` for any other `what`, `WorkError` without pandas.
+        """
+        if what == "parameters":
+            rows = self.parameters
+            values = {name: [np.nan if one is None else one.value for one in some]
+                      for name, some in (("a", [p.a for p in rows]), ("b", [p.b for p in rows]))}
+            return frame({"parameter": [p.name for p in rows], **values, "z": [p.z for p in rows],
+                          "unit": [p.unit for p in rows], "meaning": [p.meaning for p in rows]}, "parameter")
+        if what != "errors":
+            raise ValueError(f"{what!r} is neither 'errors' nor 'parameters'")
+        intervals = [e.ratio_ci95 or (np.nan, np.nan) for e in self.errors]
+        return frame({"horizon_s": [e.length_s for e in self.errors], "column": [e.column for e in self.errors],
+                      "a": [np.inf if e.a is None else e.a for e in self.errors],
+                      "b": [np.inf if e.b is None else e.b for e in self.errors],
+                      "ratio": [finite(e.ratio) for e in self.errors],
+                      "low": [low for low, _ in intervals], "high": [high for _, high in intervals],
+                      "better": [e.better or "" for e in self.errors]})
+
+    def plot(self) -> Figure:
+        """The error of B over that of A at every horizon and sensor, with its 95 % interval."""
+        from legid.figures import comparison_figure
+
+        return comparison_figure(self)
+
+    def __str__(self) -> str:
+        return comparison_text(self)
+
+    def _repr_html_(self) -> str:
+        rows = [[horizon_text(e.length_s), e.column, *("diverged" if x is None else f"{x:.3g}" for x in (e.a, e.b)),
+                 e.better or ""] for e in self.errors]
+        return paragraphs([str(self.trust)]) + html_table(["horizon", "sensor", "rms error of A", "of B", "better"],
+                                                          rows)
