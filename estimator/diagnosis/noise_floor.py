@@ -15,7 +15,7 @@ from estimator.diagnosis.model import Model
 from estimator.fitting import Disturbance, MarginalLikelihood, disturbance_likelihood, find_disturbance, of_noise
 from estimator.likelihood import LatentProblem
 from estimator.options import FitOptions
-from estimator.prediction import FloorNoise, repeated_share, state_columns, taken, white_noise
+from estimator.prediction import FloorNoise, driven_columns, repeated_share, state_columns, taken, white_noise
 from estimator.signals import SignalSet
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -55,13 +55,14 @@ def _coloured(model: Model) -> FloorNoise:
 
 
 def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> FloatArray:
-    """(n,) share of each joint's disturbance that is a function of the state and repeats from run to run."""
+    """(n,) share of each joint's disturbance that is a function of the state, or of how fast its torque changes, and
+    repeats from run to run: a listed effect, or structure, is no noise."""
     problem, x = model.problem, model.state.x
     e = whole.smoothed(found)
     run = np.repeat(problem.stage.run, np.diff(problem.ends, prepend=0))
     start = np.concatenate([[0], problem.ends[:-1]])
     time = (np.arange(problem.total) - np.repeat(start, np.diff(problem.ends, prepend=0))) * problem.dt
-    torques = problem.torque[:, list(problem.mechanism.actuated)]
+    torques = driven_columns(problem.torque[:, list(problem.mechanism.actuated)], problem.ends)
     columns, which = state_columns(x.q, x.v, np.column_stack([torques, time]), problem.ends), taken(problem.total)
     return repeated_share(np.where(found.level > 0.0, e[which], 0.0), columns, run[which])
 

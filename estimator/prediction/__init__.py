@@ -32,7 +32,7 @@ from estimator.prediction.learnt_structure import (
 from estimator.prediction.predict import predict
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
 from estimator.prediction.smoothing import per_value, smooth, smooth_segments, smooth_under
-from estimator.prediction.structure import repeated_share, state_columns, taken
+from estimator.prediction.structure import driven_columns, repeated_share, state_columns, taken
 from estimator.prediction.torque_regression import LearntTorque
 from estimator.prediction.validation import Validation, segments_as, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
@@ -57,6 +57,7 @@ __all__ = [
     "channel_names",
     "draw_disturbance",
     "draw_replicate",
+    "driven_columns",
     "filtered_motion",
     "find_structure",
     "floor_errors",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.numerics import compile_kernel
+from estimator.signals import slow_part
 
 KNOTS, PAIR_KNOTS = 10, 5
 """Knots of the splines of one variable, and of each variable of a pair."""
@@ -46,6 +47,18 @@ def state_columns(q: FloatArray, v: FloatArray, others: FloatArray, ends: NDArra
     pairs = [(a[:, :, None] * b[:, None]).reshape(len(a), -1) for a, b in combinations(coarse, 2)]
     directed = [hats * np.sign(rate)[:, None] for hats, rate in zip(single, v.T)]
     return np.concatenate([*single, *pairs, *directed, _stopped(q, ends)], axis=1)
+
+
+def driven_columns(torque: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
+    """(N, 2 V) torques (N, V), and how fast each of them changes a sample, within segments up to `ends`.
+
+    A torque that acts later than it was measured, or that is held otherwise, leaves its rate; every other listed effect
+    is a function of the state. The rate is that of the `slow_part`: the rest is noise.
+    """
+    parts = np.split(torque, ends[:-1])
+    rates = [np.gradient(slow_part(part, 1.0), axis=0) if len(part) > 1 else np.zeros_like(part)
+             for part in parts]
+    return np.concatenate([torque, np.concatenate(rates)], axis=1)
 
 
 def _hats(x: FloatArray, knots: int) -> FloatArray:

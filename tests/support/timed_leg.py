@@ -101,31 +101,42 @@ def record(leg: Leg, rng: np.random.Generator, timing: Timing, *, seconds: float
            counts: int = 16384, torque: float = 0.01, gyro: float = 0.005, accel: float = 0.05, spring: float = 0.0,
            name: str = "run") -> Dataset:
     """One run at the rate of the log, columns by the contract; `spring` [N m/rad] acts at the pivot."""
-    substeps = round(STEP_HZ / timing.tick_hz)
-    ticks = int(seconds * timing.tick_hz)
-    time = np.arange(ticks) / timing.tick_hz
+    plan = planned(rng, timing, seconds, amplitude)
+    rows, command = _run(plan, round(STEP_HZ / timing.tick_hz), round(timing.delay_s * STEP_HZ),
+                         timing.between == "ramp", timing.loop == "pd", 2 * np.pi / counts, leg.beta(), spring)
+    return logged(leg, rng, timing, rows, command, counts=counts, noise=(torque, gyro, accel), name=name)
+
+
+def planned(rng: np.random.Generator, timing: Timing, seconds: float, amplitude: float = 1.0) -> FloatArray:
+    """A value for each tick: of the torque [N m], or of the angle that a loop follows [rad]."""
+    time = np.arange(int(seconds * timing.tick_hz)) / timing.tick_hz
     peak = amplitude if timing.loop == "open" else 0.6
-    plan = multisine(rng, time, peak, high=3.0) * np.minimum(1.0, time / 0.5)
-    grid = 2 * np.pi / counts
-    rows, command = _run(plan, substeps, round(timing.delay_s * STEP_HZ), timing.between == "ramp",
-                         timing.loop == "pd", grid, leg.beta(), spring)
-    at = np.arange(0, ticks, timing.log_every)
-    step: NDArray[np.intp] = at * substeps
-    logged: FloatArray = command[at]
+    return multisine(rng, time, peak, high=3.0) * np.minimum(1.0, time / 0.5)
+
+
+def logged(leg: Leg, rng: np.random.Generator, timing: Timing, rows: FloatArray, command: FloatArray, *,
+           counts: int = 16384, noise: tuple[float, float, float] = (0.01, 0.005, 0.05), log_hz: float | None = None,
+           name: str = "run") -> Dataset:
+    """The log of a motion, `rows` as `_run` returns them; noise of torque, gyro and accelerometer. `log_hz` need not be
+    a part of the ticks: a row then has the last command."""
+    rate_hz, substeps = log_hz or timing.tick_hz / timing.log_every, round(STEP_HZ / timing.tick_hz)
+    step: NDArray[np.intp] = np.arange(0, len(rows), round(STEP_HZ / rate_hz))
+    at = step // substeps
+    shown: FloatArray = command[at]
     if timing.between == "average":
         late = np.concatenate([np.zeros(1), np.cumsum(command)])
-        logged = (late[at] - late[np.maximum(at - timing.log_every, 0)]) / timing.log_every
+        shown = (late[at] - late[np.maximum(at - timing.log_every, 0)]) / timing.log_every
     felt = np.column_stack([rows[:, 2], leg.lever * rows[:, 4] + GRAVITY * np.sin(rows[:, 0]),
                             -leg.lever * rows[:, 2] ** 2 - GRAVITY * np.cos(rows[:, 0])])
     if timing.imu_cutoff_hz:
         keep = np.exp(-2 * np.pi * timing.imu_cutoff_hz / STEP_HZ)
         felt = lfilter([1 - keep], [1, -keep], felt - felt[0], axis=0) + felt[0]
     aged = np.clip(step - round(timing.imu_age_s * STEP_HZ), 0, len(rows) - 1)
-    q1, q2 = rows[step, 0], rows[step, 1]
+    q1, q2, grid = rows[step, 0], rows[step, 1], 2 * np.pi / counts
     gyros, across, along = felt[aged].T
     n = at.size
     columns = {
         "q1_rad": np.round(q1 / grid) * grid, "q2_rad": np.round(q2 / grid) * grid,
-        "tau2_nm": logged + torque * rng.normal(size=n), "gyro_radps": gyros + gyro * rng.normal(size=n),
-        "accel_x_mps2": across + accel * rng.normal(size=n), "accel_y_mps2": along + accel * rng.normal(size=n)}
-    return Dataset(name, timing.tick_hz / timing.log_every, time[at], columns)
+        "tau2_nm": shown + noise[0] * rng.normal(size=n), "gyro_radps": gyros + noise[1] * rng.normal(size=n),
+        "accel_x_mps2": across + noise[2] * rng.normal(size=n), "accel_y_mps2": along + noise[2] * rng.normal(size=n)}
+    return Dataset(name, rate_hz, step / STEP_HZ, columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.prediction import repeated_share, state_columns
+from estimator.prediction import driven_columns, repeated_share, state_columns
 from tests.support.ornstein_uhlenbeck import draw
 
 RUNS, SAMPLES = 6, 1000
@@ -21,9 +21,10 @@ def motion(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     return q, v
 
 
-def share(residual: FloatArray, q: FloatArray, v: FloatArray) -> float:
+def share(residual: FloatArray, q: FloatArray, v: FloatArray, torque: FloatArray | None = None) -> float:
     ends = np.arange(1, RUNS + 1) * SAMPLES
-    columns = state_columns(q[:, None], v[:, None], np.zeros((q.size, 0)), ends)
+    others = np.zeros((q.size, 0)) if torque is None else torque
+    columns = state_columns(q[:, None], v[:, None], others, ends)
     both = repeated_share(np.column_stack([np.zeros_like(residual), residual]), columns,
                           np.repeat(np.arange(RUNS), SAMPLES))
     assert both[0] == 0.0
@@ -63,3 +64,15 @@ def test_a_disturbance_does_not_repeat() -> None:
 def test_nothing_has_no_structure() -> None:
     q, v = motion(np.random.default_rng(4))
     assert share(np.zeros_like(q), q, v) == 0.0
+
+
+def test_what_a_late_torque_leaves_repeats() -> None:
+    """3 ms of a torque that does not follow from the state: of another multisine in each run."""
+    rng = np.random.default_rng(4)
+    q, v = motion(rng)
+    torque, rate = motion(rng)
+    left, ends = 0.003 * rate + 0.002 * rng.normal(size=q.size), np.arange(1, RUNS + 1) * SAMPLES
+    measured = torque[:, None] + 0.01 * rng.normal(size=(q.size, 1))
+    assert share(left, q, v, measured) < 0.3 < 0.8 < share(left, q, v, driven_columns(measured, ends))
+    wandering = np.concatenate([draw(rng, SAMPLES, 1.0, 0.07, 0.01) for _ in range(RUNS)])
+    assert share(wandering, q, v, driven_columns(measured, ends)) < 0.1
