@@ -27,7 +27,8 @@ class LawSize(NamedTuple):
 
 @dataclass
 class LawSizes:
-    """Sizes of faults in the laws of reference runs, each fitted alone, with the terms that nobody states, when it is asked for."""
+    """Sizes of faults in the laws of reference runs, each fitted alone when it is asked for, with the terms that nobody
+    states."""
 
     runs: Mapping[int, Sequence[LawRun]] = field(default_factory=dict)
     """Of each joint (0-based); empty for sizes that were read from a file"""
