@@ -4,6 +4,7 @@ from .blocks import block_means as block_means
 from .blocks import mean_interval as mean_interval
 from .blocks import mean_of as mean_of
 from .columns import IMU as IMU
+from .columns import LOAD_COLUMN as LOAD_COLUMN
 from .columns import VOLTAGE as VOLTAGE
 from .columns import commanded as commanded
 from .columns import imu_columns_of as imu_columns_of

@@ -27,6 +27,8 @@ def imu_columns_of(rig: Rig) -> list[str]:
 _IMU_COLUMN = re.compile(r"gyro([2-9]|1[0-9]|20)_radps|accel([2-9]|1[0-9]|20)_[xy]_mps2")
 _JOINT_COLUMN = re.compile(r"(q|qd|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad|cmd_radps|ff_nm)")
 _ENDINGS = {"q": ("rad", "cmd_rad"), "qd": ("cmd_radps",), "tau": ("nm", "ff_nm")}
+LOAD_COLUMN = re.compile(r"load([1-9]|1[0-9]|20)_raw")
+"""Load of a joint as its servo logs it, in a unit that nobody has stated: kept, and read by no verb."""
 VOLTAGE = "voltage1_v"
 """Of a motor that drives joint 1; in its place a run may have `duty` and `volts`."""
 
@@ -36,7 +38,9 @@ def is_contract_column(name: str) -> bool:
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
         return match[3] in _ENDINGS[match[1]]
-    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v",
+    if _IMU_COLUMN.fullmatch(name) or LOAD_COLUMN.fullmatch(name):
+        return True
+    return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v",
                                                          VOLTAGE, *IMU, *OPTIONAL)
 
 

@@ -12,6 +12,7 @@ from daq import Dataset, FloatArray
 from estimator.change.contrast import Contrast, contrast, difference, seen
 from estimator.change.free_runs import error_levels, larger_error
 from estimator.change.groups import groups_of
+from estimator.change.loop_law import with_changed_law
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change, LevelChange
@@ -28,6 +29,7 @@ from estimator.change.verdict import (
     with_errors,
 )
 from estimator.errors import FitError
+from estimator.loops import LawSizes, changed_law, volts_of, without_changes
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.score import ALPHA, Score, total
@@ -39,7 +41,20 @@ FEW_RUNS = 4
 
 
 def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
-    """Change between the `reference` runs and `test` runs of one rig; data that cannot tell give `fit_failed`."""
+    """Change between the `reference` runs and `test` runs of one rig, by the laws of position loops first; data that
+    cannot tell give `fit_failed`."""
+    return _after_law(reference.law, test, reference.fit.model.mechanism, lambda left: _detected(left, reference))
+
+
+def _after_law(law: LawSizes, test: Sequence[Dataset], mechanism: Mechanism,
+               compare: Callable[[Sequence[Dataset]], Change]) -> Change:
+    """The change by the laws of loops and, without what these show, by the leg."""
+    changes = changed_law(law, test, mechanism)
+    left = without_changes(test, mechanism, changes)
+    return with_changed_law(compare(left), changes, mechanism, volts_of(left))
+
+
+def _detected(test: Sequence[Dataset], reference: Reference) -> Change:
     fit, structure = reference.fit, reference.structure
 
     def compare() -> Change:
@@ -74,8 +89,14 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
 
     The model is that of the session which it leaves less noise in: a fit to a session with a fault may be far off. The
     scatter is that of runs within their sessions, so exchanging a and b turns the signs and nothing else.
-    p-values are over all `pairs` of sessions.
+    p-values are over all `pairs` of sessions. The laws of position loops are compared first.
     """
+    return _after_law(LawSizes.of(a, mechanism), b, mechanism,
+                      lambda left: _compared(a, left, mechanism, options, gear_ratio, pairs))
+
+
+def _compared(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
+              pairs: int) -> Change:
     def compare() -> Change:
         require_runs(a)
         require_runs(b)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from estimator.change.noise import LogLevels, levels_of
 from estimator.change.scores import ReferenceFit, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
+from estimator.loops import LawSizes
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.score import Score, total
@@ -33,6 +34,8 @@ class Reference:
     errors: LogLevels
     """Of the free run of each run under the model of the others; without levels where some run cannot be simulated"""
     runs: tuple[str, ...]
+    law: LawSizes = field(default_factory=LawSizes)
+    """Of position loops whose input, command and angle were all measured"""
 
 
 def learn_reference(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
@@ -44,7 +47,8 @@ def learn_reference(runs: Sequence[Dataset], mechanism: Mechanism, options: FitO
         scores = [score_run(fit, run) for run in runs]
         structure = find_structure([scores], fit.model.mechanism.p)
         return Reference(fit, structure, total(seen(scores, structure)), levels_of(runs, mechanism, options),
-                         error_levels(fit, runs, scores), tuple(run.name for run in runs))
+                         error_levels(fit, runs, scores), tuple(run.name for run in runs),
+                         LawSizes.of(runs, mechanism))
 
 
 def require_runs(runs: Sequence[Dataset]) -> None:

@@ -32,6 +32,7 @@ from estimator.change.reference import Reference
 from estimator.change.scores import score_run
 from estimator.change.structure import PRIOR_RUNS
 from estimator.errors import FitError
+from estimator.loops import LAW_FAULTS, LawChange, changed_law, without_changes
 from estimator.score import HIDDEN, Score, total
 
 BLOCK_S = 5.0
@@ -92,9 +93,15 @@ class Watch:
     """Length [s] and score of the latest blocks."""
 
     def test(self, run: Dataset) -> WatchedRun:
-        """All blocks of `run`, the next one in time. After an alarm the test starts anew."""
+        """All blocks of `run`, the next one in time. After an alarm the test starts anew.
+
+        The laws of its position loops are tested first; the blocks are without what these show.
+        """
         found: list[Block] = []
-        alarm = None
+        model = self.reference.fit.model.mechanism
+        changes = changed_law(self.reference.law, [run], model)
+        alarm = self._by_law(run, changes)
+        (run,) = without_changes([run], model, changes)
         try:
             for part in blocks_of(run):
                 score = score_run(self.reference.fit, part)
@@ -107,6 +114,17 @@ class Watch:
             self.recent = []
             return WatchedRun(run.name, tuple(found), alarm, str(error))
         return WatchedRun(run.name, tuple(found), alarm)
+
+    def _by_law(self, run: Dataset, changes: Sequence[LawChange]) -> Block | None:
+        """An alarm at the end of a run whose loop has another law than the reference runs."""
+        best = min(changes, key=lambda one: one.cause.p_value, default=None)
+        if best is None:
+            return None
+        seconds = len(run) / run.rate_hz
+        block = Block(float(run.time_s[-1] - run.time_s[0]), seconds,
+                      min(1.0, best.cause.p_value * len(LAW_FAULTS)) * HOUR_S / seconds, best.cause.effect,
+                      best.cause.joint + 1, seconds)
+        return block if block.per_hour < self.false_alarms else None
 
     def _block(self, end_s: float) -> Block:
         lengths = np.array([seconds for seconds, _ in self.recent])

@@ -27,7 +27,7 @@ from msgspec import structs
 from daq import Column, Dataset, InputError
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_chain import driven_joints, find_chain, same_joint
-from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_rates
+from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_loads, with_rates
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_leg import guess_leg
 from experiments.exchange.guess_names import (
@@ -77,7 +77,7 @@ def _guess_one(imported: ImportedFile, gravity_mps2: float) -> Guess:
     """The guess for a file with one run."""
     following, apart = guess_following(imported, gravity_mps2)
     found = following or with_commands(_guess_measured(imported, gravity_mps2), imported)
-    return with_rates(replace(found, warnings=[*found.warnings, *apart]), imported)
+    return with_loads(with_rates(replace(found, warnings=[*found.warnings, *apart]), imported), imported)
 
 
 def _guess_measured(imported: ImportedFile, gravity_mps2: float) -> Guess:

@@ -30,7 +30,7 @@ from experiments.exchange.guess_servo import (
 )
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import measured_angles, too_many
-from experiments.exchange.layouts import duty_and_volts, stated
+from experiments.exchange.layouts import duty_and_volts, loads_of, stated
 from experiments.exchange.registers import angle_register
 from experiments.exchange.units import unit_in_name
 
@@ -98,6 +98,17 @@ def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
         notes[wanted] = "by its name, a feedforward"
     if columns == guess.columns:
         return guess
+    return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
+
+
+def with_loads(guess: Guess, imported: ImportedFile) -> Guess:
+    """`guess` with the loads of its joints in a unit that the file does not state."""
+    angles = {name: column for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)}
+    loads = loads_of(imported, angles)
+    if not loads:
+        return guess
+    columns = guess.columns | loads
+    notes = guess.notes | dict.fromkeys(loads, "by its name; its unit is not in the file")
     return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
 
 

@@ -32,6 +32,8 @@ WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax",
 NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|err|status|fault|acc|imu|force|wrench|torque"
 WRENCH = r"wrench|netft"
 """A sensor of six axes, none of which is a joint's torque by its name."""
+LOAD = r"^observation\.load_"
+"""A load of LeRobot, whose unit no file states."""
 SETTING = r"enable|limit"
 """Of a drive, no reading."""
 LEAST = 1e-300
@@ -52,7 +54,7 @@ MOST_RIVALS = 4
 
 def kind_of(name: str) -> str:
     """Kind of signal in `PATTERNS` by a column's name; empty for none."""
-    if re.search(f"{WRENCH}|{SETTING}", name, re.IGNORECASE):
+    if re.search(f"{WRENCH}|{SETTING}|{LOAD}", name, re.IGNORECASE):
         return ""
     return next((kind for kind, pattern in PATTERNS.items() if re.search(pattern, name, re.IGNORECASE)), "")
 

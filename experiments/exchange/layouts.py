@@ -21,13 +21,17 @@ from pathlib import Path
 import numpy as np
 
 from daq import Column, InputError, read_bytes
+from daq.runs import LOAD_COLUMN
 from experiments.exchange.imported import ImportedFile, Table
 from experiments.exchange.registers import PWM_FULL, angle_register, duty_register, maker
 from experiments.exchange.units import unit_in_name
 
 STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
+LOADS = {"observation.effort": "observation.load_effort", "observation.current": "observation.load_current"}
+"""Feature of a data set without a unit -> its columns' name here, which no guess takes for a torque"""
 BAM_ANGLE, BAM_GOAL, BAM_ON = "entries.position", "entries.goal_position", "entries.torque_enable"
 BAM_LOAD, BAM_VOLTS = "entries.load", "entries.input_volts"
+SIGNAL = re.compile(r"\.(pos|position|effort|eff|torque|current|load)$")
 PACE = re.compile(r"(des_)?dof_pos\b")
 HOBBY = r"so_?10\d|so_follower|koch|omx|lekiwi|moss"
 """Types of robots of Dynamixel and Feetech servos (huggingface/lerobot, robots/)."""
@@ -48,7 +52,8 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
         return imported
     names, robot = _robot_of(path)
     table = imported.table_of("timestamp")
-    called = {name: _called(name, names) for name in table.columns if name.startswith((f"{STATE}[", f"{ACTION}["))}
+    kinds = STATE, ACTION, *LOADS
+    called = {name: _called(name, names) for name in table.columns if name.partition("[")[0] in kinds}
     if not called:
         return imported
     episodes = table.columns.get(EPISODE, np.zeros(table.columns["timestamp"].size))
@@ -67,7 +72,10 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
 def _called(name: str, names: Mapping[str, list[str]]) -> str:
     kind, _, number = name.rstrip("]").partition("[")
     known = names.get(kind, [])
-    return f"{kind}.{known[int(number) - 1]}" if int(number) <= len(known) else name
+    joint = known[int(number) - 1] if int(number) <= len(known) else ""
+    if kind in LOADS:
+        kind, joint = LOADS[kind], SIGNAL.sub("", joint)
+    return f"{kind}.{joint}" if joint else f"{kind}[{number}]"
 
 
 def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
@@ -80,7 +88,7 @@ def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
     try:
         content = json.loads(read_bytes(info, MOST_INFO))
         features, robot = content["features"], str(content.get("robot_type") or "")[:40]
-        found = {kind: features.get(kind, {}).get("names") or [] for kind in (ACTION, STATE)}
+        found = {kind: features.get(kind, {}).get("names") or [] for kind in (ACTION, STATE, *LOADS)}
         flat = {kind: next(iter(some.values())) if isinstance(some, dict) else some for kind, some in found.items()}
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration, OSError, RecursionError):
         raise InputError(str(info), "is no info.json of a LeRobot data set", "give the data set as it was written"
@@ -96,6 +104,27 @@ def stated(imported: ImportedFile, name: str, contract: str) -> Column:
         return Column(name=f"{BAM_GOAL} / {BAM_ON}" if name == BAM_GOAL and BAM_ON in imported.names else name,
                       unit="rad")
     return angle_register(imported, name) or Column(name=name, unit=unit_in_name(name, contract))
+
+
+def loads_of(imported: ImportedFile, angles: Mapping[str, Column]) -> dict[str, Column]:
+    """Columns `load1_raw`, ... of the joints of `angles` (`q1_rad`, ...) in a LeRobot file, by their names."""
+    joints: dict[str, str] = {}
+    for name in imported.names:
+        kind, joint = _split(name)
+        if kind in LOADS.values():
+            joints.setdefault(joint, name)
+    found = {}
+    for name, column in angles.items():
+        kind, joint = _split(column.name)
+        if kind == STATE and joint in joints:
+            found[f"load{name[1:].removesuffix('_rad')}_raw"] = Column(name=joints[joint])
+    return found
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Feature and joint of a column: ("observation.state", "elbow_flex") of observation.state.elbow_flex.pos."""
+    kind = next((one for one in (STATE, *LOADS.values()) if re.match(rf"{re.escape(one)}[.\[]", name)), "")
+    return kind, SIGNAL.sub("", name[len(kind) :])
 
 
 def duty_and_volts(imported: ImportedFile) -> dict[str, Column]:
@@ -115,7 +144,8 @@ def duty_and_volts(imported: ImportedFile) -> dict[str, Column]:
 def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[str]:
     """Sentences on what the files of a layout leave open."""
     if imported.facts.get("layout") == "lerobot":
-        return [_lerobot(imported, used)]
+        loads = {name: column for name, column in used.items() if LOAD_COLUMN.fullmatch(name)}
+        return [_lerobot(imported, used), *([_unit_of_loads(loads)] if loads else [])]
     if BAM_ANGLE in imported.names:
         return _bam(imported.facts, "duty" in used)
     if any(column.scale == 1.0 / 4096 for column in used.values()):
@@ -124,6 +154,14 @@ def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[
                 "where the link hangs at another count" + ("" if who else "; without a load or PWM the names do not "
                 "tell whose they are, nor the unit of a current")]
     return []
+
+
+def _unit_of_loads(loads: Mapping[str, Column]) -> str:
+    first, column = next(iter(loads.items()))
+    torque = f"tau{first.removeprefix('load').removesuffix('_raw')}_nm"
+    return (f"LeRobot's files do not say the unit of {column.name!r}: it is kept as {', '.join(loads)}, and nothing "
+            f"reads it. What is it in? Where you know, call [columns.{first}] {torque} in columns.toml, with scale in "
+            "N m a unit, gear included")
 
 
 def _counts_degrees(imported: ImportedFile) -> bool:

@@ -12,10 +12,11 @@ from estimator import FitOptions
 from estimator.change import LogLevels, Reference, Structure, known_reference
 from estimator.free_runs import FittedModel
 from estimator.likelihood import Noise
+from estimator.loops import LawSize, LawSizes
 from estimator.score import Score
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
-from experiments.models.schema import MechanismSettings, Model, ReferenceValues
+from experiments.models.schema import LawValues, MechanismSettings, Model, ReferenceValues
 
 REMEDY = "give the runs that it was fitted to, or write it again: legid diagnose RUN... --model-out MODEL.json"
 
@@ -37,7 +38,10 @@ def reference_values_of(found: Reference) -> ReferenceValues:
         drift=tuple(map(float, structure.drift)) if structure.drift.any() else (),
         columns=fit.columns, score=tuple(map(float, found.known.score)),
         information=found.known.information[upper].astype("<f8").tobytes(), levels=dict(found.noise.levels),
-        errors=dict(found.errors.levels))
+        errors=dict(found.errors.levels),
+        law=tuple(LawValues(effect=effect, joint=joint + 1, size=tuple(map(float, one.size)), blocks=one.blocks,
+                            std=tuple(float(x) if np.isfinite(x) else None for x in one.std))
+                  for (joint, effect), one in found.law.every().items()))
 
 
 def reference_of(model: Model, where: str, settings: MechanismSettings, options: FitOptions) -> Reference:
@@ -65,9 +69,11 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
     drift = held.drift or (0.0,) * m
     if fit.columns != held.columns or not len(held.score) == len(held.unit) == len(drift) == m:
         raise InputError(where, "was written with another library of effects", REMEDY)
+    law = LawSizes(known={(one.joint - 1, one.effect): LawSize(
+        np.array(one.size), np.array([np.inf if x is None else x for x in one.std]), one.blocks) for one in held.law})
     structure = Structure(held.common, held.own, np.array(held.unit), mechanism.p, held.freedom, np.array(drift))
     return Reference(fit, structure, Score(np.array(held.score), information),
-                     LogLevels(len(held.runs), held.levels), LogLevels(len(held.runs), held.errors), held.runs)
+                     LogLevels(len(held.runs), held.levels), LogLevels(len(held.runs), held.errors), held.runs, law)
 
 
 def _square(values: FloatArray | None) -> FloatArray | None:

@@ -115,6 +115,17 @@ class StructureValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     removed_ci95: tuple[float, float]
 
 
+class LawValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Sizes of one fault as the law of a position loop shows them in the runs."""
+
+    effect: str
+    joint: Joint
+    size: tuple[float, ...]
+    std: tuple[float | None, ...]
+    """null where too few blocks of the runs show it"""
+    blocks: Annotated[int, Meta(ge=0)]
+
+
 class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Statistics that `legid diagnose --against MODEL.json` needs of the runs of a model, instead of the runs."""
 
@@ -143,6 +154,8 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Upper triangle by rows, little-endian doubles, base64."""
     levels: dict[str, tuple[float, float]]
     """Column of a run to mean and variance of the log level of its noise over the runs."""
+    law: tuple[LawValues, ...] = ()
+    """Empty where no loop has its input measured, and in models of earlier versions."""
     errors: dict[str, tuple[float, float]] = {}
     """Channel to the same of its free-run error, each run predicted by the others."""
 

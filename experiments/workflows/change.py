@@ -11,8 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from daq import Dataset, InputError, Rig
 from estimator import FitError
-from estimator.change import Change, compare_sessions, detect_change, learn_reference, with_changed_law
-from estimator.loops import changed_law, corrected_readings, volts_of
+from estimator.change import Change, compare_sessions, detect_change, learn_reference
 from experiments.console import note
 from experiments.models import Model, known_effects, reference_of, reference_values_of
 from experiments.session import (
@@ -109,18 +108,9 @@ def _found(compare: Callable[[Sequence[Dataset], Sequence[Dataset], Setup], Chan
     setup = without_benchmark(prepared.setup)
     require_one_rig(setup.datasets)
     first = {d.name for d in before}
-    m = setup.mechanism
-
-    def both(before: Sequence[Dataset], after: Sequence[Dataset]) -> Change:
-        """The change by the laws of position loops and, without what these show, by the leg."""
-        changes = changed_law(before, after, m)
-        for one in changes:
-            after = corrected_readings(after, m, one.cause.joint, one.faults)
-        return with_changed_law(compare(before, after, setup), changes, m, volts_of(after))
-
     require_alike([replace(d, name=d.name.removeprefix(f"{names[d.name not in first]} ")) for d in setup.datasets])
-    return _concluded(lambda: both([d for d in setup.datasets if d.name in first],
-                                   [d for d in setup.datasets if d.name not in first]), setup, prepared)
+    return _concluded(lambda: compare([d for d in setup.datasets if d.name in first],
+                                      [d for d in setup.datasets if d.name not in first], setup), setup, prepared)
 
 
 def _concluded(compare: Callable[[], Change], setup: Setup, prepared: Prepared) -> ChangeFound:

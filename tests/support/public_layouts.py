@@ -18,8 +18,10 @@ SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 
 
 def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: bool = False,
-            robot: str = "so101_follower") -> list[Path]:
+            robot: str = "so101_follower", load: str = "") -> list[Path]:
     """A data set of an SO-101 whose joints are runs, in degrees; version 3 in one file, 2.1 in one an episode.
+
+    `load` is a feature whose reading is 3 times the error of the command.
 
     As `LeRobotDataset` writes them: float32 lists of fixed size, timestamps that begin anew in every episode.
     """
@@ -28,7 +30,8 @@ def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: 
     (folder / "meta").mkdir(parents=True)
     (folder / "meta/info.json").write_text(json.dumps({
         "codebase_version": "v2.1" if v2 else "v3.0", "robot_type": robot, "fps": fps,
-        "features": {"action": feature, "observation.state": feature}}))
+        "features": {"action": feature, "observation.state": feature} | ({load: {
+            **feature, "names": [f"{name}.effort" for name in SO101]}} if load else {})}))
     tables = []
     for k, joints in enumerate(episodes):
         state, action = (np.stack([run[name] for run in joints], axis=1) / DEGREE
@@ -39,7 +42,8 @@ def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: 
             "observation.state": pa.FixedSizeListArray.from_arrays(pa.array(state.astype(np.float32).ravel()), 6),
             "timestamp": pa.array((np.arange(n) / fps).astype(np.float32)), "frame_index": pa.array(np.arange(n)),
             "episode_index": pa.array(np.full(n, k)), "index": pa.array(np.arange(n)),
-            "task_index": pa.array(np.zeros(n, dtype=int))}))
+            "task_index": pa.array(np.zeros(n, dtype=int)), **({load: pa.FixedSizeListArray.from_arrays(
+                pa.array((3.0 * (action - state)).astype(np.float32).ravel()), 6)} if load else {})}))
     data = folder / "data/chunk-000"
     data.mkdir(parents=True)
     if v2:

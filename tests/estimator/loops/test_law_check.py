@@ -15,6 +15,7 @@ from estimator.effects import classes
 from estimator.loops import (
     LAW_FAULTS,
     LEAST_SHARE,
+    LawSizes,
     changed_law,
     check_law,
     corrected_readings,
@@ -189,13 +190,17 @@ def test_a_diagnosis_has_what_the_law_shows_as_its_cause_and_in_its_model() -> N
     assert with_law(replace(leg, verdict="unexplained"), checks, LEG, 1.0).verdict == "partial"
 
 
+def sizes(spoil: Spoil = healthy) -> LawSizes:
+    return LawSizes.of(runs(spoil), LEG)
+
+
 def test_what_was_there_before_is_no_change() -> None:
     def later(of: dict[str, Wave]) -> dict[str, FloatArray]:
         return {**healthy(of), "tau2_nm": torque(of, TIME - 0.045)}
 
-    assert changed_law(runs(late_torque), runs(late_torque, seed=2), LEG) == []
-    assert changed_law(runs(), runs(seed=2), LEG) == []
-    (change,) = changed_law(runs(late_torque), runs(later, seed=2), LEG)
+    assert changed_law(sizes(late_torque), runs(late_torque, seed=2), LEG) == []
+    assert changed_law(sizes(), runs(seed=2), LEG) == []
+    (change,) = changed_law(sizes(late_torque), runs(later, seed=2), LEG)
     assert change.cause.size[0] == pytest.approx(0.025, rel=0.08)
     found = with_changed_law(Change("no_change", "No change."), [change], LEG, 1.0)
     (cause,) = found.causes

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from daq import Dataset, InputError
+from daq.runs import read_csv
 from experiments.cli import main
 from experiments.exchange import guess_map, read_imported, runs_in
 from experiments.exchange.column_map import apply_map
@@ -16,6 +17,7 @@ from tests.support.public_layouts import SO101, bam, dynamixel, feetech, lerobot
 from tests.support.servo_joint import servo_run
 
 COUNT = 2.0 * np.pi / 4096
+DEGREE = np.pi / 180.0
 
 
 def arm(seed: int, seconds: float = 6.0, scale: float = 1.0) -> list[Dataset]:
@@ -77,6 +79,27 @@ def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Pat
     (tmp_path / "set/meta/info.json").write_text("[]")
     with pytest.raises(InputError, match=r"info\.json: is no info"):
         read_imported(path)
+
+
+@pytest.mark.parametrize("load", ["observation.effort", "observation.current"])
+def test_a_load_of_lerobot_is_kept_and_its_unit_asked_for(load: str, tmp_path: Path,
+                                                          capsys: pytest.CaptureFixture[str]) -> None:
+    joints = arm(3)
+    (path,) = lerobot(tmp_path / "set", [joints], 25.0, load=load)
+    assert main(["import", str(path), "--joints", "wrist_flex,elbow_flex", "--yes", "--out", str(tmp_path / "r")]) == 0
+    told = capsys.readouterr().err
+    assert "do not say the unit of" in told and "kept as load1_raw, load2_raw" in told and "tau1_nm" in told
+    run = read_csv(tmp_path / "r/file-000.csv").columns
+    elbow = joints[SO101.index("elbow_flex")]
+    error = elbow["q1_cmd_rad"] - elbow["q1_rad"]
+    assert run["load2_raw"] == pytest.approx(3.0 / DEGREE * error, abs=1e-3)
+    assert "tau1_nm" not in run and run["q2_cmd_rad"] == pytest.approx(elbow["q1_cmd_rad"], abs=1e-5)
+    known = tmp_path / "columns.toml"
+    stated = (tmp_path / "r/columns.toml").read_text()
+    known.write_text(stated.replace("[columns.load2_raw]", "[columns.tau2_nm]\nscale = 0.5"))
+    assert main(["import", str(path), "--map", str(known), "--out", str(tmp_path / "known")]) == 0
+    torque = read_csv(tmp_path / "known/file-000.csv").columns["tau2_nm"]
+    assert torque == pytest.approx(0.5 * run["load2_raw"], abs=1e-6)
 
 
 def test_another_robot_of_lerobot_is_in_rad_until_somebody_knows(tmp_path: Path) -> None:

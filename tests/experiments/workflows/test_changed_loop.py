@@ -1,0 +1,77 @@
+"""A loop whose readings change: by earlier runs, by their MODEL.json and by `watch` the same is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from daq import Dataset, parse_rig
+from estimator.change import Block
+from experiments.models import Model, load_model, save_model
+from experiments.session import prepare
+from experiments.workflows import as_reference, find_change, find_change_since, watcher_of
+from tests.support.models import write_model
+from tests.support.servo_joint import DAMPING, GAIN, servo_run
+
+RIG = parse_rig('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
+SCALE = 0.08
+
+
+def measured(name: str, seed: int, scale: float = 0.0) -> Dataset:
+    """A run with the torque of its loop, its encoder's reading 1 + scale of the angle."""
+    run, rng = servo_run(name, seed=seed), np.random.default_rng([seed, 1])
+    torque = GAIN * (run["q1_cmd_rad"] - run["q1_rad"]) - DAMPING * np.gradient(run["q1_rad"], 1.0 / run.rate_hz)
+    return replace(run, columns={**run.columns, "q1_rad": (1.0 + scale) * run["q1_rad"],
+                                 "tau1_nm": torque + rng.normal(0.0, 0.01, torque.size)})
+
+
+@pytest.fixture(scope="module")
+def before() -> list[Dataset]:
+    return [measured(f"a{k}", k) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def model(before: list[Dataset], tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """As it comes from its file."""
+    prepared, path = prepare(before, RIG), tmp_path_factory.mktemp("model") / "model.json"
+    bare = load_model(write_model(path, [0.1] * prepared.setup.mechanism.p, structs.asdict(prepared.setup.settings)))
+    save_model(as_reference(bare, prepared), path)
+    return load_model(path)
+
+
+def test_a_model_says_of_a_loop_what_its_runs_say(before: list[Dataset], model: Model) -> None:
+    assert model.reference is not None and {one.effect for one in model.reference.law} >= {"encoder_scale"}
+    scaled = [measured(f"b{k}", 10 + k, SCALE) for k in range(2)]
+    answers = [find_change(scaled, before, RIG).change, find_change_since(scaled, model, "model.json", RIG).change]
+    for found in answers:
+        cause = found.causes[0]
+        assert cause.effect == "encoder_scale" and cause.size[0].value == pytest.approx(SCALE, rel=0.1)
+        assert "by the law of the loop" in found.sentence
+    assert answers[0].causes[0].size == answers[1].causes[0].size
+    same = [measured(f"c{k}", 20 + k) for k in range(2)]
+    assert find_change_since(same, model, "model.json", RIG).change.verdict == "no_change"
+
+
+@pytest.mark.parametrize("by_model", [False, True])
+def test_watch_alarms_at_a_loop_of_another_law(before: list[Dataset], model: Model, by_model: bool) -> None:
+    watcher = watcher_of(model if by_model else before, "model.json", RIG, 0.1)
+    assert watcher.watch(measured("c1", 20)).state == "ok"
+    first = watcher.watch(measured("b1", 10, SCALE))
+    alarm = first.found.alarm
+    assert first.state == "alarm" and isinstance(alarm, Block)
+    assert (alarm.effect, alarm.joint) == ("encoder_scale", 1) and alarm.per_hour < 0.1
+    second = watcher.watch(measured("b2", 11, SCALE))
+    assert second.change is not None and second.change.causes[0].effect == "encoder_scale"
+
+
+def test_a_model_of_an_earlier_version_has_no_law(model: Model, tmp_path: Path) -> None:
+    assert model.reference is not None
+    old = structs.replace(model, reference=structs.replace(model.reference, law=()))
+    save_model(old, tmp_path / "old.json")
+    scaled = [measured(f"b{k}", 10 + k, SCALE) for k in range(2)]
+    found = find_change_since(scaled, load_model(tmp_path / "old.json"), "old.json", RIG).change
+    assert "by the law of the loop" not in found.sentence
