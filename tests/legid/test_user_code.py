@@ -1,0 +1,68 @@
+"""What a user writes: the first script of the README runs as it stands, and types of results are known to mypy."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.mujoco_leg import Leg, record
+from tests.support.paths import ROOT
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SCRIPT = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+MOST_LINES = 15
+TYPED = """
+import legid
+
+run = legid.load("run.csv", "rig.toml")
+seen = legid.validate("model.json", run)
+level: str = seen.trust.level
+errors: dict[str, float | None] = seen.horizons[0].rmse
+first: legid.Validation = seen[0]
+same = legid.Validations.read("validation.json").runs[0].start_s
+better: str | None = legid.compare(legid.load_model("a.json"), legid.load_model("b.json"), [run]).errors[0].better
+"""
+WRONG = {"wrong: int = seen.trust": "incompatible type", "seen.no_such_key": "no attribute"}
+"""Line -> what mypy says of it."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two logs of one leg under another program's names, and its rig."""
+    for seed, name in ((11, "log"), (12, "log2")):
+        run = record(Leg(), np.random.default_rng(seed), seconds=10.0)
+        table = np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"]])
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=";", header="Time [s];Hip [deg];Knee [deg];Torque [Nm]",
+                   comments="")
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
+    return tmp_path
+
+
+def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+def test_the_first_script_runs_in_at_most_fifteen_lines(folder: Path) -> None:
+    (script,) = SCRIPT
+    assert len(script.splitlines()) <= MOST_LINES
+    (folder / "first.py").write_text(script)
+    done = run(folder, "first.py")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("TRUST the parameters") and "m2*l1*lc2" in done.stdout
+    assert (folder / "leg/leg.xml").is_file() and "<svg" in (folder / "diagnosis.html").read_text()
+    assert {path.name for path in folder.iterdir()} >= {"fit.html", "extended.json"}
+
+
+def test_mypy_strict_knows_the_types_of_results(folder: Path) -> None:
+    (folder / "first.py").write_text(SCRIPT[0])
+    (folder / "typed.py").write_text(TYPED)
+    done = run(folder, "-m", "mypy", "--strict", "first.py", "typed.py")
+    assert done.returncode == 0, done.stdout
+    (folder / "wrong.py").write_text("\n".join([TYPED, *WRONG]))
+    said = run(folder, "-m", "mypy", "--strict", "wrong.py").stdout.splitlines()
+    assert len(said) == len(WRONG) + 1 and all(told in line.lower() for line, told in zip(said, WRONG.values()))
