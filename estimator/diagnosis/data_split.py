@@ -50,8 +50,9 @@ class RunSplit:
     stiction: Mapping[int, FloatArray] = field(default_factory=dict)
     """Run to `Noise.stiction`, as the nominal model has it: all explanations are compared on the same weights."""
     delays_s: tuple[float, ...] = ()
-    """Delays of the torque beyond its hold, one for each hold that is nearly as likely as the one chosen. Empty where
-    the hold explains all."""
+    """Delays of the torque beyond its hold that the likelihood of the hold found [s]; empty where the hold explains it.
+
+    The first is of the hold that was chosen, another of one that is nearly as likely."""
 
     @property
     def inner(self) -> list[tuple[int, ...]]:

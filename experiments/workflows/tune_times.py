@@ -90,8 +90,9 @@ def vary_times(bench: Bench, rig: Rig, now: Trial, done: Callable[[float], None]
         done(0.5 * k / len(grids))
         attempt(start._replace(rate_hz=grid))
         late[grid] = _between(bench, _rig(rig, Times(grid, "auto", 0.0)))
-        if late[grid][1] and _delay_is_open(rig):
-            attempt(Times(grid, *late[grid]))
+        if not late[grid][1] and start.hold == "auto":
+            continue  # that is what the first trial found
+        attempt(Times(grid, late[grid][0], late[grid][1] if _delay_is_open(rig) else 0.0))
     best = _chosen(tried, start)
     more = _holds(best.rate_hz, *late.get(best.rate_hz, ("smooth", 0.0)), _delay_is_open(rig))
     for k, times in enumerate(more):

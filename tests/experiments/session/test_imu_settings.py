@@ -67,3 +67,14 @@ def test_a_fit_finds_the_rest_of_the_age_within_the_tolerance_of_the_settings() 
     assert found.beta[5] == pytest.approx(leg.beta()[5], rel=0.3)
     (told,) = (text for text in found.assumptions if "early against the controller" in text)
     assert "corrected" in told and float(told.split()[3]) == pytest.approx(800.0, abs=250.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("age_s", "beyond_s"), [(0.003, None), (0.011, 0.0072)])
+def test_a_diagnosis_names_what_is_beyond_the_nominal_age_alone(age_s: float, beyond_s: float | None) -> None:
+    leg, runs = runs_of(age_s, 4)
+    some = [run.part(slice(0, 1000)) for run in runs]
+    found = legid.diagnose(some, parse_rig(RIG + f"lever_arm_m = {leg.lever}\n" + SETTINGS))
+    late = [s.value for c in found.causes if c.effect == "sensor_time_skew" for s in c.size if s.name == "skew"]
+    assert found.verdict == ("none" if beyond_s is None else "named")
+    assert late == ([] if beyond_s is None else [pytest.approx(beyond_s, abs=1e-3)])

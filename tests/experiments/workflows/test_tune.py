@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
+from daq.rig import load_rig, parse_rig
 from daq.runs import write_csv
 from experiments.cli import main
+from experiments.session import with_choices
+from experiments.workflows import tune_runs
 from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
 from tests.support.timed_leg import Timing, record
@@ -85,3 +87,17 @@ def test_rate_hold_and_delay_are_found_together(tmp_path: Path, capsys: pytest.C
     gains = {one["what"]: one["gain"] for one in found["times"]}
     assert set(gains) == {"rate", "hold", "delay"} and min(gains.values()) > 0.3
     assert np.all(np.array(found["error_after"]) < 0.5 * np.array(found["error_before"]))
+
+
+def test_a_hold_that_needs_no_delay_is_tried_on_each_grid(tmp_path: Path) -> None:
+    """A controller of 200 Hz logged at 100: with the rig file's hold alone both grids predict alike badly."""
+    rng = np.random.default_rng(2)
+    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
+    for file in runs:
+        write_csv(record(leg, rng, Timing(200.0, 2), seconds=6.0, name=file.stem), file)
+    rig = parse_rig(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
+                    '[sampling]\nrate_hz = 50.0\nhold = "average"\n')
+    found = tune_runs(runs, rig)
+    chosen = with_choices(rig, found.choices)
+    assert chosen.sampling.rate_hz == 100.0 and chosen.sampling.hold == "auto"
+    assert chosen.timing.control_period_s == 0.005 and chosen.timing.torque_delay_s is None
