@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos investigate payloads changed-families looks compensation lab-chain timing trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -154,6 +154,10 @@ imu-links: $(STAMP)
 servos: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
 		--seed $(or $(SEED),7000) --out docs/evidence/servos.md
+
+# Friction laws of servos fitted to the same runs: three minutes; BAM= is a copy of the repository Rhoban/bam.
+servo-laws: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servo-laws --bam "$(BAM)" --out docs/evidence/servo-laws.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 import legid
-from daq import Dataset, FloatArray, Loop, load_rig
+from daq import Dataset, FloatArray, Loop, Rig, load_rig
 from estimator.free_runs import FittedModel
 from estimator.likelihood import free_run
 from estimator.loops import law_checks
@@ -38,6 +38,11 @@ PUBLISHED: dict[str, dict[str, float]] = {
            "alpha": 1.81215, "load_friction_motor": 0.284251, "load_friction_external": 0.136314,
            "load_friction_motor_stribeck": 0.000962296, "load_friction_external_stribeck": 0.0775627,
            "load_friction_motor_quad": 0.00525869, "load_friction_external_quad": 0.0090157}}
+
+
+def rig() -> Rig:
+    """The rig file of the records."""
+    return load_rig(RIG)
 
 
 def records(kinds: tuple[str, ...]) -> list[Dataset]:
