@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -183,6 +183,10 @@ separate: $(STAMP)
 # Legs whose controller, log and drive keep times of their own: an hour.
 timing: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence timing --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6000) --out docs/evidence/timing.md
+
+# Rate, hold and delay that `legid tune` finds for such legs: twenty minutes.
+tuning: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence tuning --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/tuning.md
 
 # Legs with causes outside the library, and real records next to the checkout (RECORDS="FOLDER..."): a quarter of an hour.
 structure: $(STAMP)

@@ -8,11 +8,11 @@ from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.sensor_effects import TorqueSensorEffect
 from estimator.model import Mechanism
-from estimator.signals import Channel, delayed, torque_of
+from estimator.signals import Channel, added_by_delay, torque_of
 
 
 class TorqueDelay(TorqueSensorEffect):
-    """reading(t) = u(t - d), with a record by `delayed`."""
+    """reading(t) = u(t - d), with a record by `added_by_delay`."""
 
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001, tolerance=5e-4),)
@@ -39,6 +39,6 @@ class TorqueDelay(TorqueSensorEffect):
         found = {}
         for channel in (torque_of(j) for j in self.driven(view)):
             y, slow = view.measured.readings[channel], view.measured.slow[channel]
-            found[channel] = y - np.concatenate([delayed(y[part], slow[part], -size[0] / view.dt_s)
-                                                 for part in view.segments()])
+            found[channel] = -np.concatenate([added_by_delay(y[part], slow[part], -size[0] / view.dt_s)
+                                              for part in view.segments()])
         return found

@@ -164,7 +164,10 @@ def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
         stop = min(start + window, n - 1)
         k = np.arange(stop - start + 1)[:, None]
         with np.errstate(all="ignore"):
-            a = m.forward_dynamics(q[start], v[start], equation.tau[start], equation.beta) if window == 1 else 0.0
+            try:
+                a = m.forward_dynamics(q[start], v[start], equation.tau[start], equation.beta) if window == 1 else 0.0
+            except np.linalg.LinAlgError:  # a fit that did not converge can have no inertia at all
+                return
         gq, gv = q[start] + v[start] * dt * k + 0.5 * a * (dt * k) ** 2, v[start] + a * dt * k
         found = _newton(equation, slice(start, stop), (gq, gv, np.tile(states, (len(k), 1))))
         if found is None:

@@ -14,8 +14,8 @@ from estimator.signals.channels import (
 from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, earlier, input_by_law
 from estimator.signals.filters import (
     SLOW_SHARE,
+    added_by_delay,
     causal,
-    delayed,
     encoder_level,
     lowpass,
     quantum,
@@ -54,8 +54,8 @@ from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdown
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "SLOW_SHARE",
     "STANCE", "SUPPLY", "Channel", "Commands", "Kind", "Kinematics", "SignalSet", "Touchdowns",
-    "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run", "causal",
-    "command_columns", "commands_of", "cut", "cut_steps", "delayed", "differentiate", "earlier", "encoder_level",
+    "accelerometer", "accelerometer_at", "accelerometer_slopes", "added_by_delay", "angle_column", "by_run", "causal",
+    "command_columns", "commands_of", "cut", "cut_steps", "differentiate", "earlier", "encoder_level",
     "encoder_of", "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "input_by_law",
     "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "shifted", "sight",
     "slow_part", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",

@@ -90,14 +90,14 @@ def shifted(x: FloatArray, samples: float) -> FloatArray:
     return np.asarray(shift(x, samples, order=3, mode="nearest"), dtype=np.float64)
 
 
-def delayed(x: FloatArray, slow: FloatArray, samples: float) -> FloatArray:
-    """x (n,) so many samples later; its ends are held.
+def added_by_delay(x: FloatArray, slow: FloatArray, samples: float) -> FloatArray:
+    """(n,) x so many samples later, less x (n,); the ends of x are held.
 
     Its `slow_part` moves by parts of a sample. What is fast, noise and a controller's steps, moves by whole samples:
     noise that falls between samples is averaged, and an estimate of a delay would be drawn to half a sample for it.
     """
-    whole = np.trunc(samples + np.copysign(WHOLE, samples))
-    return shifted(slow, samples) + (shifted(x - slow, whole) if whole else x - slow)
+    whole, fast = np.trunc(samples + np.copysign(WHOLE, samples)), x - slow
+    return shifted(slow, samples) - slow + (shifted(fast, whole) - fast if whole else 0.0)
 
 
 def causal(x: FloatArray, numerator: FloatArray, denominator: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from daq import Dataset, FloatArray, Rig, Steps
 from daq.runs import VOLTAGE
 from estimator.calibration import DistanceMeter, angle_record
-from estimator.signals import STANCE, cut_steps, delayed, imu_columns, shifted, slow_part
+from estimator.signals import STANCE, added_by_delay, cut_steps, imu_columns, shifted, slow_part
 from experiments.session.servo_law import with_law
 
 TORQUE = re.compile(r"tau\d+_nm?")
@@ -52,7 +52,7 @@ def with_delay(data: Dataset, delay_s: float) -> Dataset:
     samples = delay_s * data.rate_hz
 
     def late(y: FloatArray) -> FloatArray:
-        return delayed(y, slow_part(y, data.rate_hz), samples)
+        return y + added_by_delay(y, slow_part(y, data.rate_hz), samples)
 
     names = [name for name in data.columns if TORQUE.fullmatch(name)]
     return replace(data, columns={**data.columns, **_moved(data, names, samples, late)}, torque_delay_s=delay_s)
