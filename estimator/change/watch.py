@@ -98,10 +98,12 @@ class Watch:
         The laws of its position loops are tested first; the blocks are without what these show.
         """
         found: list[Block] = []
-        model = self.reference.fit.model.mechanism
-        changes = changed_law(self.reference.law, [run], model)
-        alarm = self._by_law(run, changes)
-        (run,) = without_changes([run], model, changes)
+        alarm = None
+        if not self.reference.law.empty:
+            model = self.reference.fit.model.mechanism
+            changes = changed_law(self.reference.law, [run], model)
+            alarm = self._by_law(run, changes)
+            (run,) = without_changes([run], model, changes)
         try:
             for part in blocks_of(run):
                 score = score_run(self.reference.fit, part)

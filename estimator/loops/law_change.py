@@ -42,6 +42,11 @@ class LawSizes:
         found = {j: law_runs(datasets, mechanism, j) for j in mechanism.actuated}
         return cls({j: runs for j, runs in found.items() if runs})
 
+    @property
+    def empty(self) -> bool:
+        """Whether no loop shows its law."""
+        return not (self.runs or self.known)
+
     def size(self, joint: int, fault: LawFault) -> LawSize | None:
         """Sizes of one fault; None where no reference run shows the law of the joint."""
         key = joint, fault.effect
@@ -77,8 +82,8 @@ class LawChange:
 
 def changed_law(reference: LawSizes, test: Sequence[Dataset], mechanism: Mechanism) -> list[LawChange]:
     """Faults that the law shows in the test runs, with sizes that differ from those in the reference runs."""
-    found = []
-    for joint in mechanism.actuated:
+    found: list[LawChange] = []
+    for joint in () if reference.empty else mechanism.actuated:
         runs = law_runs(test, mechanism, joint)
         if runs:
             found += _changed(reference, runs, joint)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from estimator.change.contrast import seen
 from estimator.change.groups import Group
 from estimator.change.structure import find_structure
 from estimator.errors import FitError
+from estimator.loops import LawSizes
 from estimator.score import Score, total
 from tests.evidence import watch as study
 from tests.evidence.blind.stickslip import MAKERS
@@ -33,6 +34,7 @@ class Known:
     fit: Any
     known: Any
     structure: Any
+    law: LawSizes = field(default_factory=LawSizes)
 
 
 def run(rng: np.random.Generator, moved: dict[int, float]) -> Dataset:
