@@ -119,9 +119,10 @@ def page(minutes: float, seed: int) -> Iterator[str]:
         "# A lab's signal chain", "",
         f"Made by `make lab-chain MINUTES={minutes:g} SEED={seed}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, "
         f"{machine()}.", "",
-        "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. All faults at once are drawn: torque constant "
-        "5 %, gyro scale 1 %, accelerometer 0.1 m/s², tilt 0.5 degrees, lever arm 2 mm, zero 3 mrad, shunt 5 mN m. Two "
-        "of three IMUs are behind a low pass and stamped late. Every other leg has a spring of 0.3 N m/rad at its "
+        "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. All faults at once are drawn. Their standard "
+        "deviations: torque constant 5 %, gyro scale 1 %, accelerometer 0.1 m/s², tilt 0.5 degrees, lever arm 2 mm, "
+        "zero 3 mrad, shunt 5 mN m. Two of three IMUs are behind a low pass and stamped late. Every other leg has a "
+        "spring of 0.3 N m/rad at its "
         f"pivot. `legid fit` and `legid diagnose` read {RUNS} runs of {SECONDS:g} s as CSV. The rig file states "
         "nothing of it.", "",
         f"- Answers with a name that is not there: {share(wrong)} (none wanted).",
