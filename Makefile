@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -187,6 +187,10 @@ timing: $(STAMP)
 # Rate, hold and delay that `legid tune` finds for such legs: twenty minutes.
 tuning: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence tuning --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/tuning.md
+
+# Healthy legs in Pinocchio and PyBullet (pip install "legid[engines]"), and under rates that are not theirs: an hour.
+engines: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence engines --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6200) --out docs/evidence/engines.md
 
 # Legs with causes outside the library, and real records next to the checkout (RECORDS="FOLDER..."): a quarter of an hour.
 structure: $(STAMP)
