@@ -53,7 +53,7 @@ def test_a_gyro_of_a_wrong_scale_is_named_and_not_trusted(capsys: pytest.Capture
     ("single_column/swing_head.txt", ["--rate", "500"], {"q1_rad"}),
     ("torque_absent_two_angles/free.csv", [], {"q1_rad", "q2_rad"}),
     ("torque_absent_two_angles/free_u.csv", [], {"q1_rad", "q2_rad"}),
-    ("parquet_lists/episode_000000.parquet", [], {"q1_rad", "q1_cmd_rad"})])
+    ("parquet_lists/episode_000000.parquet", [], {"q1_rad", "q1_cmd_rad", "load1_raw"})])
 def test_an_import_finds_the_columns(file: str, options: list[str], columns: set[str], tmp_path: Path) -> None:
     path, target = CASES / file, tmp_path / "c.toml"
     assert main(["import", str(path), "--guess", "--map", str(target), *options]) == 0

@@ -90,7 +90,7 @@ def told(*sizes: tuple[Any, float, float]) -> Explanation:
         effects=tuple(e for e, *_ in sizes), named=tuple(e for e, *_ in sizes), sizes=lambda: values, width=spread.size,
         places=lambda: [slice(end - v.size, end) for v, end in zip(values, ends)],
         state=SimpleNamespace(covariance=np.diag(spread**2)),
-        problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)))
+        problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)), split=SimpleNamespace(delays_s=()))
     known = np.ones(spread.size, dtype=bool)
     return Explanation(model, 900.0, replace(NOTHING_LEFT, freedom=1e6), inflation=np.ones(spread.size),
                        determined=known)
