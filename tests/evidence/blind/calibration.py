@@ -66,15 +66,14 @@ def table(answers: Sequence[Stated], bins: Sequence[tuple[float, float]]) -> Ite
 
 
 def main() -> None:
-    from tests.evidence.blind.page import read, stated_of
+    from tests.evidence.blind.page import answer_file, read, stated_of
     from tests.evidence.blind.plan import FAMILIES, RECORDS, choose
 
     found: list[Stated] = []
     for folder in map(Path, sys.argv[1:]):
-        done = {path.stem for path in folder.glob("*/diagnoses/*.json")}
-        seeds = sorted({int(name.rpartition("-")[2]) for name in done})
-        cases = [c for c in choose([f for f in FAMILIES if f != RECORDS], [], seeds) if c.name in done]
-        found += stated_of(read(cases, folder))
+        seeds = sorted({int(path.stem.rpartition("-")[2]) for path in folder.glob("*/diagnoses/*.json")})
+        cases = choose([family for family in FAMILIES if family != RECORDS], [], seeds)
+        found += stated_of(read([case for case in cases if answer_file(case, folder).exists()], folder))
     print(len(found), "answers:", ", ".join(f"{value:.3g}" for value in fit(found)))
     print("\n".join(table(found, [(0.0, 0.5), (0.5, 0.8), (0.8, HIGH), (HIGH, 1.0)])))
 
