@@ -188,7 +188,7 @@ timing: $(STAMP)
 tuning: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence tuning --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/tuning.md
 
-# Healthy legs in Pinocchio and PyBullet (pip install "legid[engines]"), and under rates that are not theirs: an hour.
+# Healthy legs in Pinocchio and PyBullet (the extra "engines"), and under rates that are not theirs: an hour.
 engines: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence engines --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6200) --out docs/evidence/engines.md
 
