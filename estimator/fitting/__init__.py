@@ -15,7 +15,8 @@ from estimator.fitting.initial_guess import gentle_start, noise_floors, start_mo
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.loop_limit import limit_met
 from estimator.fitting.loop_terms import UNLIMITED
-from estimator.fitting.mle import describe_smoothing_velocity, find_loop
+from estimator.fitting.mle import describe_smoothing_velocity
+from estimator.fitting.motion_search import find_loop
 from estimator.fitting.next_measurement import CALIBRATED, Measurement, body_unit, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken_torques

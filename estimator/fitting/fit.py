@@ -12,7 +12,8 @@ from estimator.errors import FitError, ScaleError
 from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
-from estimator.fitting.mle import BetweenSamples, find_between, fit_mle
+from estimator.fitting.mle import fit_mle
+from estimator.fitting.motion_search import BetweenSamples, find_between
 from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls

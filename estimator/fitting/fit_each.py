@@ -12,7 +12,8 @@ from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting import hekf
 from estimator.fitting.fit import estimate
-from estimator.fitting.mle import result_of, state_of
+from estimator.fitting.mle import result_of
+from estimator.fitting.motion_search import state_of
 from estimator.fitting.profile_likelihood import known_noise, search, suits
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Records

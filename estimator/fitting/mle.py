@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
@@ -29,25 +29,24 @@ from estimator.fitting.disturbance import (
     predicts_worse,
 )
 from estimator.fitting.gauss_newton import Policies, descend, iterate
-from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.imu_age import rough_age, with_skew
-from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.imu_age import with_skew
+from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
-from estimator.fitting.loop_terms import Extra, Fitted, extended, find_loop_terms, with_loop_terms
+from estimator.fitting.loop_terms import Extra, Fitted, extended, with_loop_terms
+from estimator.fitting.motion_search import search_hold, search_motion, without_age
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
 from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
-from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.small_faults import SmallFault, faults_shown, sizes_of, told, without_faults
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
-from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
-from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
+from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
-from estimator.options import AUTO, FitOptions
-from estimator.result import FitResult, LoopTerm, Trajectory
+from estimator.options import FitOptions
+from estimator.result import FitResult, Trajectory
 from estimator.score import (
     SensorFaults,
     agreement_of,
@@ -57,11 +56,8 @@ from estimator.score import (
     score_runs,
     total,
 )
-from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals, with_earlier_imu
+from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
-LEAST_AGE = (1e-3, 0.1)
-"""Rough age of an IMU, in [s] and in samples, from which on its readings are moved before the fit; less is a term of
-the fit."""
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
 LEAST_GAIN = 0.01
@@ -75,7 +71,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     """Identify by marginal maximum likelihood; see the module's text. Raises `FitError`."""
     signals = split_signals(datasets, mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
-    moved, age_s = _without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
+    moved, age_s = without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
     found = _fit(moved, mechanism, options, _Known(bound_s, age_s)) if age_s else None
     if found is None:
         found = _fit(signals, mechanism, options, _Known(bound_s))
@@ -121,12 +117,12 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     """`fit_mle` of segments; None where no fit confirms the age that their IMU was moved by."""
     start, (bound_s, age_s, *_) = time.perf_counter(), known
     free, beta = free_mask(mechanism, options)
-    problem, state, chosen = _search_hold(signals, mechanism, options, free, beta)
+    problem, state, chosen = search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
     if chosen is not None and chosen.hold != options.hold:
         options = replace(options, hold=chosen.hold)
-        problem, state = _search(signals, mechanism, options, free, beta, state)
+        problem, state = search_motion(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
     loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
     state, extra = loops.state, loops.extra
@@ -157,38 +153,6 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
                  if text is not None)
     return _Fitted(replace(result, assumptions=(*result.assumptions, *said), loop=loops.terms), value, options.hold,
                    known._replace(aged=aged), faults, less)
-
-
-class BetweenSamples(NamedTuple):
-    """Hold, friction smoothing velocities and delay of a torque between samples, as `fit_mle` takes them."""
-
-    hold: str
-    mechanism: Mechanism
-    """With these velocities."""
-    delay_s: float = 0.0
-    """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
-    others_s: tuple[float, ...] = ()
-    """That by the next hold, where these data hardly tell both apart."""
-
-
-def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
-    """Hold, friction smoothing velocities and delay, by the motion where `options` state none. Raises `FitError`."""
-    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-    signals, _ = _without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
-    problem, _, chosen = _search_hold(signals, mechanism, options, *mask)
-    if chosen is None:
-        return BetweenSamples(problem.collocation.hold, problem.mechanism)
-    others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
-    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s, others)
-
-
-def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
-              ) -> tuple[LoopTerm, ...]:
-    """Values of `options.unknown_loop` by the motion of joints whose loop makes the torque; see `find_loop_terms`.
-    Raises `FitError`."""
-    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-    problem, state, _ = _search_hold(signals, mechanism, options, *mask)
-    return find_loop_terms(Fitted(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")), sure)
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
@@ -222,52 +186,6 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
     scatter = without_tolerances(result)[1].diagonal() / np.maximum(own, 1e-300)
     spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
-
-
-def _without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
-                 beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
-    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times.
-
-    A nominal age of the rig's leaves more open than that of a clock: within its bound the age is sought, too.
-    """
-    least = max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz)
-    if (options.hold != AUTO and not bound_s) or 0.0 < bound_s < least:
-        return signals, 0.0
-    age_s = rough_age(signals, mechanism, options, free, beta)
-    if abs(age_s) < least * (not bound_s) or 0.0 < bound_s < abs(age_s):
-        return signals, 0.0
-    return [with_earlier_imu(s, age_s) for s in signals], age_s
-
-
-def _search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
-                 beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
-    """As `_search`, under the hold FIRST where `options` state none; then with the likeliest hold at its end."""
-    if options.hold != AUTO:
-        return *_search(signals, mechanism, options, free, beta), None
-    problem, state = _search(signals, mechanism, replace(options, hold=FIRST), free, beta)
-    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem, options)
-
-
-def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
-            beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
-    """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
-    problem = LatentProblem(signals, mechanism, options.hold)
-    seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
-    if suits(signals, mechanism, options):
-        noise = known_noise(mechanism, options)
-        spread = None if problem.spread is None else problem.spread[None]
-        return problem, state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
-                                        Records(problem.angles[None], problem.torque[None], spread)), 0, noise)
-    if near is None:
-        state = start_state(problem, signals, mechanism, options, free, beta)
-        floors = noise_floors(problem, mechanism, state.beta)
-        state = from_excerpt(problem, signals, options, free, state, seeks_smoothing) or state
-    else:
-        state = replace(near, noise=near.noise.levels(), converged=False)
-        floors = noise_floors(problem, mechanism, near.beta)
-    state = descend(problem, state, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
-    _refuse_collapse(problem, state, mechanism)
-    return problem.smoothed_over(state.smoothing), state
 
 
 def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
@@ -339,35 +257,10 @@ def _with_scores(result: FitResult, problem: LatentProblem, signals: list[Signal
     return replace(result, omitted=omitted), faults, less
 
 
-def state_of(found: Searched, record: int, noise: Noise) -> State:
-    """State that a search found for one of its records. Raises `FitError` where no search converged."""
-    if not np.isfinite(found.objective[record]):
-        raise FitError("no search converged; the record is too short or too noisy")
-    q, v, u = np.split(found.x[record], 3, axis=-1)
-    return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
-                 bool(found.converged[record]), int(found.steps[record]))
-
-
 def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:
     """Whether the noise of every joint that counts is given: of the driven ones, or of all where there are none."""
     joints = mechanism.actuated or range(mechanism.n)
     return all(options.torque_noise(j, bool(mechanism.actuated)) is not None for j in joints)
-
-
-def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
-    """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
-
-    With angles taken as exact and a large torque noise this is a maximum of the likelihood, and never the one
-    that is meant (a drive with play, or time stamps that jitter, has larger angle errors than its encoder).
-    """
-    for j in mechanism.actuated:
-        rms = float(np.std(problem.torque[:, j]))
-        share = float(np.std(state.x.u[:, j] - problem.torque[:, j])) / max(rms, 1e-300)
-        if rms > 0.0 and state.noise.torque[j] > 0.6 * rms and share > 0.5 and np.isfinite(state.noise.encoder).any():
-            raise FitError(
-                f"the fit puts the torque of joint {j + 1} down to noise; the angles carry more error than their "
-                f"encoder shows ({np.min(state.noise.encoder):.2g} rad): declare it, play included, as encoder_rad "
-                "under [noise], or lower rate_hz")
 
 
 def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.fitting import mle, warm_start
+from estimator.fitting import motion_search, warm_start
 from estimator.fitting.fit import fit
 from estimator.fitting.warm_start import LEAST, WORTH, excerpt
 from estimator.likelihood.latent_problem import LatentProblem
@@ -54,7 +54,7 @@ def test_short_records_and_short_segments_have_none() -> None:
 
 
 def without_excerpt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+    monkeypatch.setattr(motion_search, "from_excerpt", lambda *_: None)
 
 
 def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,136 @@
+"""Motion, parameters and noise levels that are likeliest under one hold, from readings alone: `search_motion`.
+
+Before it, an IMU's age is taken off; after it, the likeliest hold is chosen. `find_between` and `find_loop` stop there:
+they want times and values of loops, no fit with its intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import Dataset, FloatArray
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import Policies, descend
+from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
+from estimator.fitting.imu_age import rough_age
+from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.loop_terms import Fitted, find_loop_terms
+from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.warm_start import from_excerpt
+from estimator.fitting.wls import free_mask
+from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
+from estimator.model import Mechanism
+from estimator.options import AUTO, FitOptions
+from estimator.result import LoopTerm
+from estimator.signals import SignalSet, split_signals, with_earlier_imu
+
+LEAST_AGE = (1e-3, 0.1)
+"""Rough age of an IMU, in [s] and in samples, from which on its readings are moved before the fit; less is a term of
+the fit."""
+
+
+class BetweenSamples(NamedTuple):
+    """Hold, friction smoothing velocities and delay of a torque between samples, as `fit_mle` takes them."""
+
+    hold: str
+    mechanism: Mechanism
+    """With these velocities."""
+    delay_s: float = 0.0
+    """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
+    others_s: tuple[float, ...] = ()
+    """That by the next hold, where these data hardly tell both apart."""
+
+
+def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
+    """Hold, friction smoothing velocities and delay, by the motion where `options` state none. Raises `FitError`."""
+    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
+    signals, _ = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
+    problem, _, chosen = search_hold(signals, mechanism, options, *mask)
+    if chosen is None:
+        return BetweenSamples(problem.collocation.hold, problem.mechanism)
+    others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
+    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s, others)
+
+
+def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
+              ) -> tuple[LoopTerm, ...]:
+    """Values of `options.unknown_loop` by the motion of joints whose loop makes the torque; see `find_loop_terms`.
+    Raises `FitError`."""
+    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
+    problem, state, _ = search_hold(signals, mechanism, options, *mask)
+    return find_loop_terms(Fitted(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")), sure)
+
+
+def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+                 beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
+    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times.
+
+    A nominal age of the rig's leaves more open than that of a clock: within its bound the age is sought, too.
+    """
+    least = max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz)
+    if (options.hold != AUTO and not bound_s) or 0.0 < bound_s < least:
+        return signals, 0.0
+    age_s = rough_age(signals, mechanism, options, free, beta)
+    credible = abs(age_s) <= bound_s if bound_s else abs(age_s) >= least
+    return ([with_earlier_imu(s, age_s) for s in signals], age_s) if credible else (signals, 0.0)
+
+
+def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+                 beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
+    """Problem and state of `search_motion`, and the likeliest hold at its end; FIRST begins where none is stated."""
+    if options.hold != AUTO:
+        return *search_motion(signals, mechanism, options, free, beta), None
+    problem, state = search_motion(signals, mechanism, replace(options, hold=FIRST), free, beta)
+    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem, options)
+
+
+def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+            beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
+    """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
+    problem = LatentProblem(signals, mechanism, options.hold)
+    seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
+    if suits(signals, mechanism, options):
+        noise = known_noise(mechanism, options)
+        spread = None if problem.spread is None else problem.spread[None]
+        return problem, state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
+                                        Records(problem.angles[None], problem.torque[None], spread)), 0, noise)
+    if near is None:
+        state = start_state(problem, signals, mechanism, options, free, beta)
+        floors = noise_floors(problem, mechanism, state.beta)
+        state = from_excerpt(problem, signals, options, free, state, seeks_smoothing) or state
+    else:
+        state = replace(near, noise=near.noise.levels(), converged=False)
+        floors = noise_floors(problem, mechanism, near.beta)
+    state = descend(problem, state, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
+    refuse_collapse(problem, state, mechanism)
+    return problem.smoothed_over(state.smoothing), state
+
+
+def refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
+    """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
+
+    With angles taken as exact and a large torque noise this is a maximum of the likelihood, and never the one
+    that is meant (a drive with play, or time stamps that jitter, has larger angle errors than its encoder).
+    """
+    for j in mechanism.actuated:
+        rms = float(np.std(problem.torque[:, j]))
+        share = float(np.std(state.x.u[:, j] - problem.torque[:, j])) / max(rms, 1e-300)
+        if rms > 0.0 and state.noise.torque[j] > 0.6 * rms and share > 0.5 and np.isfinite(state.noise.encoder).any():
+            raise FitError(
+                f"the fit puts the torque of joint {j + 1} down to noise; the angles carry more error than their "
+                f"encoder shows ({np.min(state.noise.encoder):.2g} rad): declare it, play included, as encoder_rad "
+                "under [noise], or lower rate_hz")
+
+
+def state_of(found: Searched, record: int, noise: Noise) -> State:
+    """State that a search found for one of its records. Raises `FitError` where no search converged."""
+    if not np.isfinite(found.objective[record]):
+        raise FitError("no search converged; the record is too short or too noisy")
+    q, v, u = np.split(found.x[record], 3, axis=-1)
+    return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
+                 bool(found.converged[record]), int(found.steps[record]))
