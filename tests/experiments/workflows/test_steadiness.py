@@ -15,7 +15,7 @@ import pytest
 from daq import Dataset, FloatArray, Rig, load_rig
 from daq.runs import read_run
 from daq.timing import recorded_rig
-from estimator.fitting import mle, start_state
+from estimator.fitting import motion_search, start_state
 from estimator.likelihood import State
 from experiments.judge import fit_trust
 from experiments.session import load_runs
@@ -109,7 +109,7 @@ def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: fl
                               accel=factor * n.accel)
         return state
 
-    monkeypatch.setattr(mle, "start_state", started)
+    monkeypatch.setattr(motion_search, "start_state", started)
     found = fit_runs(runs, rig)
     assert not np.array_equal(found.result.beta, base.result.beta), "the start has another level"
     assert moved(found, base) < LEAST_MOVE
