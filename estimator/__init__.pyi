@@ -11,6 +11,7 @@ from .parallel import SAFE_PATH as SAFE_PATH
 from .parallel import cores as cores
 from .parallel import worker_pool as worker_pool
 from .result import MOST_DISAGREEMENT as MOST_DISAGREEMENT
+from .result import RESIDUAL_LAGS as RESIDUAL_LAGS
 from .result import TWO_SIDED as TWO_SIDED
 from .result import Combination as Combination
 from .result import Finding as Finding

@@ -16,6 +16,8 @@ from estimator.model import Mechanism
 TWO_SIDED = 1.959963984540054
 """Standard deviations to either side of a 95 % interval: the normal distribution's quantile at 0.975."""
 
+RESIDUAL_LAGS = 25
+"""Samples up to which residuals are correlated."""
 MOST_DISAGREEMENT = 3.0
 """Half widths of a parameter's interval between two estimates, or by a listed effect that the model lacks, beyond which
 a fit is not to be trusted."""
@@ -295,6 +297,9 @@ class FitResult:
     """Asked for by `FitOptions.seeks_omitted`."""
     budget: Budget | None = None
     """Where the tolerances of the rig are not all zero; the covariance has them in it."""
+    torque_colour: FloatArray | None = None
+    """(joints, RESIDUAL_LAGS) autocorrelation at lags from 1 sample on that the torque residual of a right model has;
+    None: it is white."""
     loop: tuple[LoopTerm, ...] = ()
     """Values of position loops that were estimated"""
     prior: tuple[PriorValue, ...] = ()

@@ -42,6 +42,7 @@ from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.small_faults import SmallFault, faults_shown, sizes_of, told, without_faults
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
+from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
@@ -305,4 +306,5 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
-                     dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise))
+                     dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise),
+                     torque_colour=torque_colour(problem, state) if state.converged and mechanism.actuated else None)

@@ -35,7 +35,6 @@ from .numbers import number as number
 from .opinion import METHOD_WORDS as METHOD_WORDS
 from .opinion import disagreement as disagreement
 from .opinion import with_half_width as with_half_width
-from .residuals import LAGS as LAGS
 from .residuals import Correlation as Correlation
 from .residuals import fit_percent as fit_percent
 from .residuals import friction_level as friction_level

@@ -14,10 +14,11 @@ from estimator.prediction import repeated_share, state_columns, taken
 from experiments.judge.agreement import disputed, units
 from experiments.judge.opinion import disagreement
 from experiments.judge.prior import contradictions_of
-from experiments.judge.residuals import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
+from experiments.judge.residuals import STRONG, autocorrelation, residuals_of, torque_autocorrelation, torque_fit
 
 STRUCTURE = 0.3
-"""Correlation of a driven joint's torque residual, at any of 25 lags, beyond which the model lacks something."""
+"""Correlation of a driven joint's torque residual, at any of 25 lags, less that of a right model, beyond which the
+model lacks something."""
 NEIGHBOURS = 4
 """Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
 GOOD_FIT, ROUGH_FIT = 90.0, 70.0
@@ -108,10 +109,10 @@ def _impossible(result: FitResult) -> list[str]:
 
 
 def _structure(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, apart as a right model leaves
-    them independent."""
+    """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, less what a right model
+    leaves."""
     found = residuals_of(result)
-    return {j + 1: autocorrelation(name, found[name], torque_step(result, j, found[name])).largest
+    return {j + 1: torque_autocorrelation(result, j, found[name]).largest
             for j in result.mechanism.actuated if (name := f"torque {j + 1}") in found}
 
 

@@ -7,7 +7,6 @@ P = sum over lags of the product of both autocorrelations. Bands hold 99 % of ea
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -16,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator import FitResult, Trajectory
+from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.likelihood import Noise, Process, held_variance
+from estimator.numerics import correlate
 
-LAGS = 25
 SHARE = 0.99
 STRONG = 0.2
 """Autocorrelation beyond which a residual counts as material structure, whatever the number of samples."""
@@ -49,25 +48,23 @@ class Correlation:
         return float(np.max(np.abs(self.values)))
 
 
-def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: FloatArray) -> FloatArray:
-    """(k,) normalised correlation of `first` (t + lag) with `second` (t), summed over segments; NaN takes no part."""
-    total, scale = np.zeros(lags.size), [0.0, 0.0]
-    means = [np.nanmean(np.concatenate(list(x))) for x in (first, second)]
-    for a, b in zip(first, second):
-        x, y = np.nan_to_num(a - means[0]), np.nan_to_num(b - means[1])
-        scale = [scale[0] + float(x @ x), scale[1] + float(y @ y)]
-        for k, lag in enumerate(lags.astype(int)):
-            if abs(lag) < x.size:
-                total[k] += float(x[lag:] @ y[: y.size - lag] if lag >= 0 else x[:lag] @ y[-lag:])
-    return np.asarray(total / max(np.sqrt(scale[0] * scale[1]), 1e-300))
+def autocorrelation(what: str, residuals: Sequence[FloatArray], own: FloatArray | None = None) -> Correlation:
+    """Autocorrelation of residuals by segment, at lags 1 to `RESIDUAL_LAGS`, less what a right model leaves.
 
-
-def autocorrelation(what: str, residuals: Sequence[FloatArray], step: int = 1) -> Correlation:
-    """Autocorrelation of residuals by segment, at lags 1 to `LAGS`, times `step`."""
-    lags = step * np.arange(1.0, LAGS + 1)
-    count = sum(int(np.isfinite(e).sum()) for e in residuals)
+    That is `own` (RESIDUAL_LAGS,), by default zero. The band is Bartlett's (J. R. Stat. Soc. Suppl. 8, 1946): that of
+    white noise, times (1 + 2 sum own^2)^1/2.
+    """
+    lags = np.arange(1.0, RESIDUAL_LAGS + 1)
+    own = np.zeros(RESIDUAL_LAGS) if own is None else own
+    count = sum(int(np.isfinite(e).sum()) for e in residuals) / (1.0 + 2.0 * float(own @ own))
     band = NormalDist().inv_cdf(0.5 + SHARE / 2) / count**0.5
-    return Correlation(what, lags, correlate(residuals, residuals, lags), band)
+    return Correlation(what, lags, correlate(residuals, residuals, lags) - own, band)
+
+
+def torque_autocorrelation(result: FitResult, j: int, residuals: Sequence[FloatArray]) -> Correlation:
+    """Autocorrelation of the torque residual of joint `j`, from 0, less what the fit of a right model leaves."""
+    own = result.torque_colour
+    return autocorrelation(f"torque {j + 1}", residuals, None if own is None else own[j])
 
 
 def torque_level(result: FitResult, j: int, otherwise: float) -> float:
@@ -75,22 +72,12 @@ def torque_level(result: FitResult, j: int, otherwise: float) -> float:
     return result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", otherwise))
 
 
-def torque_step(result: FitResult, j: int, residuals: Sequence[FloatArray]) -> int:
-    """Samples between residuals of the torque of joint `j`, from 0, that a right model leaves independent.
-
-    Where encoders alone show the motion, the estimated torque follows the fast part of its own noise, and what is left
-    is the slow part: of N samples as many are independent as the estimate leaves free, the share of its variance that
-    the residual has. (Measured on an exact leg at 200 Hz: a quarter, and neighbours correlate by 0.84.)
-    """
-    sigma, rms = torque_level(result, j, 0.0), float(np.sqrt(np.nanmean(np.square(np.concatenate(residuals)))))
-    return max(1, math.ceil((sigma / rms) ** 2 - 0.5)) if 0.0 < rms < sigma < math.inf else 1
-
-
 def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> Correlation:
-    """Correlation of residuals with an input, at lags -`LAGS` to `LAGS`; a positive one is the input's past."""
-    lags = np.arange(-float(LAGS), LAGS + 1)
+    """Correlation of residuals with an input, at lags of up to `RESIDUAL_LAGS` either way; a
+    positive one is the input's past."""
+    lags = np.arange(-float(RESIDUAL_LAGS), RESIDUAL_LAGS + 1)
     count = sum(int(np.isfinite(e).sum()) for e in residuals)
-    far = np.arange(1.0, 4 * LAGS + 1)
+    far = np.arange(1.0, 4 * RESIDUAL_LAGS + 1)
     power = 1.0 + 2.0 * float(correlate(residuals, residuals, far) @ correlate(inputs, inputs, far))
     band = NormalDist().inv_cdf(0.5 + SHARE / 2) * max(power, 0.0) ** 0.5 / count**0.5
     return Correlation(what, lags, correlate(residuals, inputs, lags), band)
@@ -161,11 +148,11 @@ def residual_tests(result: FitResult) -> tuple[list[Correlation], list[Correlati
     Empty for a method that estimates no motion. What a fit makes free for every sample leaves no residual to test.
     """
     found = {name: e for name, e in residuals_of(result).items()
-             if np.nanstd(np.concatenate(e)) > 1e-9 and min(map(len, e)) > 4 * LAGS}
+             if np.nanstd(np.concatenate(e)) > 1e-9 and min(map(len, e)) > 4 * RESIDUAL_LAGS}
     inputs = {j + 1: [path.tau_measured[:, j] for path in result.trajectories] for j in result.mechanism.actuated}
-    steps = {name: torque_step(result, j, found[name]) for j in result.mechanism.actuated
-             if (name := f"torque {j + 1}") in found}
-    return ([autocorrelation(name, e, steps.get(name, 1)) for name, e in found.items()],
+    torques = {f"torque {j + 1}": j for j in result.mechanism.actuated}
+    return ([torque_autocorrelation(result, torques[name], e) if name in torques else autocorrelation(name, e)
+             for name, e in found.items()],
             [cross_correlation(f"{name} with the torque of joint {j}", e, u)
              for name, e in found.items() for j, u in inputs.items() if name != f"torque {j}"])
 

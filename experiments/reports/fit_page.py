@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator import FitResult, Trajectory
+from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.model import Mechanism
 from experiments.judge import (
-    LAGS,
     Correlation,
     Estimate,
     fit_percent,
@@ -211,19 +210,17 @@ def _residuals(result: FitResult) -> list[Section]:
         return []
     rows = [[c.what, f"{100 * c.outside:.0f} %", f"{c.largest:.2f}", f"{c.band:.3f}"] for c in (*auto, *cross)]
     force = [c for c in auto if any(c.what == f"torque {j + 1}" for j in result.mechanism.actuated)]
-    pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}; the band holds 99 % of it if the "
-                             "residual is white.") for c in (force or auto)]
+    pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}; less what a right model "
+                             "leaves; the band holds 99 % of it.") for c in (force or auto)]
     pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
                               "holds 99 % of it if they are independent.") for c in _leading(cross)]
-    apart = "".join(f"; of {c.what} at multiples of {c.lags[0]:.0f}, for nearer ones correlate on a right model, too"
-                    for c in auto if c.lags[0] > 1)
     return [Section(
         "Residuals: white, and independent of the input?",
-        [f"Measured less estimated, at lags up to {LAGS} samples{apart}. One lag in a hundred lies outside its "
-         "99 % band by chance. The motion is estimated from the same sensors, which colours small residuals a little; "
-         "what counts is the torque of driven joints, and a sensor beyond four lags: a large correlation there is "
-         "something that the model lacks. The equation of a passive joint has no sensor of its own, and its residual "
-         "follows its neighbours'."],
+        [f"Measured less estimated, at lags up to {RESIDUAL_LAGS} samples. One lag in a hundred lies outside its "
+         "99 % band by chance. The motion is estimated from the same sensors, which colours residuals: of a driven "
+         "joint's torque what a right model leaves is taken off. What counts is that torque, and a sensor beyond four "
+         "lags: a large correlation there is something that the model lacks. The equation of a passive joint has no "
+         "sensor of its own, and its residual follows its neighbours'."],
         [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, right=frozenset({1, 2, 3}))],
         pictures)]
 

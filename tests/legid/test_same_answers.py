@@ -206,16 +206,16 @@ def test_a_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
     VERBS[verb](leg_with_bad_run(folder), folder)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", [*SHORT, *LONG])
+@pytest.mark.parametrize("verb", [pytest.param(verb, marks=pytest.mark.slow if verb in SHORT else pytest.mark.study)
+                                  for verb in (*SHORT, *LONG)])
 @pytest.mark.parametrize("name", FIXTURE_CASES)
 def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None:
     VERBS[verb](with_recorded_rig(FIXTURE_CASES[name], folder), folder)
 
 
-@pytest.mark.slow
 @needs_records
-@pytest.mark.parametrize("verb", [*SHORT, *LONG])
+@pytest.mark.parametrize("verb", [pytest.param(verb, marks=pytest.mark.slow if verb in SHORT else pytest.mark.study)
+                                  for verb in (*SHORT, *LONG)])
 @pytest.mark.parametrize("name", ["axis", "pendulum", "servo", "arm"])
 def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
     case = records()[name]

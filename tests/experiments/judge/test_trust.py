@@ -22,7 +22,13 @@ from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
 from experiments.excite.multisine import random_multisine
 from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
-from experiments.judge.residuals import autocorrelation, cross_correlation, fit_percent, residuals_of, torque_step
+from experiments.judge.residuals import (
+    autocorrelation,
+    cross_correlation,
+    fit_percent,
+    residuals_of,
+    torque_autocorrelation,
+)
 from experiments.judge.trust import fit_trust, validation_trust
 from experiments.reports.comparison import comparison_text
 from experiments.reports.comparison_page import comparison_sections
@@ -71,7 +77,7 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
         said[stiffness] = fit(runs, leg2(), FitOptions(sensors="encoder", hold="auto"))
     exact = said[0.0]
     left = residuals_of(exact)["torque 2"]
-    assert autocorrelation("", left).largest > 0.5 and torque_step(exact, 1, left) > 2
+    assert autocorrelation("", left).largest > 0.5 and torque_autocorrelation(exact, 1, left).largest < 0.1
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
     told = fit_trust(said[0.15])
     assert told.sentence.startswith("DO NOT TRUST the parameters: ") and len(told.sentence) <= 120

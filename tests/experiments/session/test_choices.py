@@ -45,7 +45,8 @@ def test_an_offset_in_a_single_run() -> None:
 
 
 @needs_records
-@pytest.mark.parametrize("arm", [pytest.param("dfki_c0", marks=pytest.mark.slow), "dfki_a0"])
+@pytest.mark.parametrize("arm", [pytest.param("dfki_c0", marks=pytest.mark.study),
+                                 pytest.param("dfki_a0", marks=pytest.mark.slow)])
 def test_real_arms_without_a_specialist(arm: str, tmp_path: Path) -> None:
     """Mechanism, joints, gear and gravity in rig.toml, one command, no option: within 9 % of what is published."""
     runs, published = ARMS[arm]

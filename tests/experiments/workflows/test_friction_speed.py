@@ -16,7 +16,7 @@ from experiments.models.model_file import load_model
 from tests.support.paths import DEMO_RIG as RIG
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_spring_is_no_wider_rounding(tmp_path: Path) -> None:
     """The emulated joint sticks. A fit without the spring rounds its friction off over several times the default, and
     an extended model that kept that speed erred by 5.4 mrad instead of 2.4 on the demo's runs."""

@@ -118,10 +118,11 @@ def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: fl
 
 
 @needs_records
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "change"), [
-    *((name, change) for name in RECORDS for change in (in_the_last_digit, at_another_time)),
-    ("dfki_c0", in_another_order), ("dfki_a0", in_another_order)])
+    *(pytest.param(name, change, marks=pytest.mark.slow if name in ("emps", "multiarm") else pytest.mark.study)
+      for name in RECORDS for change in (in_the_last_digit, at_another_time)),
+    pytest.param("dfki_c0", in_another_order, marks=pytest.mark.slow),
+    pytest.param("dfki_a0", in_another_order, marks=pytest.mark.study)])
 def test_a_real_record_is_fitted_alike(name: str, change: Change) -> None:
     rig = load_rig(REAL / name / "rig.toml")
     runs = load_runs([REAL / name / f"{run}.csv.gz" for run in RECORDS[name]], rig)
