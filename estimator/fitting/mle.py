@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset
-from estimator.effects import SensorTimeSkew
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
     alike,
@@ -28,6 +28,7 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
+from estimator.fitting.disturbance_cause import cause_of_disturbance
 from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
@@ -124,7 +125,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if chosen is not None and chosen.hold != options.hold:
         options = replace(options, hold=chosen.hold)
         problem, state = search_motion(signals, mechanism, options, free, beta, state)
-    problem, state = _with_disturbance(problem, state, signals, free, options)
+    problem, state, cause = _with_disturbance(problem, state, signals, free, options)
     loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
     state, extra = loops.state, loops.extra
     skew, found = None, None
@@ -150,8 +151,9 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found)
-                 if text is not None)
+    slow = None if cause is None else (f"a slow torque error is not taken for noise: {cause.key} explains most of it. "
+                                       "Run legid diagnose")
+    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), slow, found) if text is not None)
     return _Fitted(replace(result, assumptions=(*result.assumptions, *said), loop=loops.terms), value, options.hold,
                    known._replace(aged=aged), faults, less)
 
@@ -190,15 +192,16 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
 
 
 def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
-                      options: FitOptions) -> tuple[LatentProblem, State]:
-    """The fit with coloured disturbances at the joints that ask for one.
+                      options: FitOptions) -> tuple[LatentProblem, State, Effect | None]:
+    """The fit with coloured disturbances at the joints that ask for one, and the effect that explains them instead.
 
     The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
-    does not converge, and where its parameters predict worse.
+    does not converge, where its parameters predict worse, and where a listed effect explains most of them.
     """
+    plain = problem, state, None
     if not state.converged or suits(signals, problem.mechanism, options) or options.torque_correlation:
-        return problem, state
-    begin, plain = of_noise(state.noise), (problem, state)
+        return plain
+    begin = of_noise(state.noise)
     for _ in range(DISTURBANCE_ROUNDS):
         found = find_disturbance(disturbance_likelihood(signals, problem, state), begin, options)
         if not found.level.any() or float(found.level.max()) > 0.99 * most_disturbance(problem):
@@ -219,7 +222,8 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
     mechanism, hold = problem.mechanism, problem.collocation.hold
     if problem.disturbed and predicts_worse(signals, mechanism, hold, options, (plain[1].beta, state.beta)):
         return plain
-    return problem, state
+    cause = cause_of_disturbance(*plain[:2], signals, free, options, begin) if problem.disturbed else None
+    return (problem, state, None) if cause is None else (*plain[:2], cause)
 
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,

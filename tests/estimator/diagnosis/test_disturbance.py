@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import FitOptions
+from estimator import FitOptions, fit
 from estimator.diagnosis import diagnose
 from estimator.model import leg2
 from tests.support.mujoco_leg import random_leg
@@ -23,3 +23,15 @@ def test_a_delay_of_less_than_a_sample_is_named_and_a_loop_is_not(seed: int, del
     sizes = [s for c in found.causes for s in c.size if c.effect == "torque_delay"]
     assert found.verdict == ("named" if delay_s else "none")
     assert [s.value for s in sizes] == ([pytest.approx(-delay_s, abs=3e-4)] if delay_s else [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.001, 0.0])
+def test_a_fit_takes_no_delay_for_noise(delay_s: float) -> None:
+    """Under a PD loop a disturbance of 0.005 N m took a delay of 1 ms; a healthy leg keeps what its loop makes."""
+    rng = np.random.default_rng(51)
+    leg, timing = random_leg(rng), Timing(200.0, delay_s=delay_s, loop="pd")
+    runs = [record(leg, rng, timing, name=f"run{k}") for k in range(4)]
+    found = fit(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
+    told = [one for one in found.assumptions if "a slow torque error is not taken for noise: torque_delay" in one]
+    assert bool(told) == (delay_s > 0.0) and ("disturbance2_nm" in found.noise) == (delay_s == 0.0)
