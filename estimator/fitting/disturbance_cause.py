@@ -1,0 +1,68 @@
+"""`cause_of_disturbance`: a listed effect that explains most of a coloured disturbance, which is then no noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects import Effect
+from estimator.errors import FitError
+from estimator.fitting.disturbance import Disturbance, disturbance_likelihood, find_disturbance, of_noise
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.initial_guess import noise_floors
+from estimator.fitting.loop_terms import extended
+from estimator.fitting.omitted_effects import small_effects, with_candidates
+from estimator.likelihood import LatentProblem, State
+from estimator.options import FitOptions
+from estimator.score import columns_of, project, score_at
+from estimator.signals import SignalSet
+
+MOST_LEFT = 0.5
+"""Share of a disturbance's power that may be left beside an effect that explains it: less than half is noise then."""
+TRIED = 4
+"""Effects that are tried, by the likelihood that their scores promise."""
+
+
+def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+                         options: FitOptions, found: Disturbance) -> Effect | None:
+    """The listed effect beside which the disturbance `found` has less than MOST_LEFT of its power; None: there is none.
+
+    `problem` and `state` are the fit without the disturbance. Effects whose scores promise most are fitted in its
+    place, and the likeliest disturbance is sought anew beside each.
+    """
+    for effect in _promising(problem, state, signals, free, options):
+        wide, count = extended(problem, signals, [effect]), len(effect.sizes)
+        begin = State(state.x, np.append(state.beta, np.zeros(count)), state.noise.levels(),
+                      np.zeros((state.beta.size + count,) * 2))
+        try:
+            again = iterate(wide, begin, np.append(free, np.ones(count, dtype=bool)), options,
+                            noise_floors(wide, wide.mechanism, state.beta))
+            left = find_disturbance(disturbance_likelihood(signals, wide, again, partial(_beside, problem, effect)),
+                                    of_noise(again.noise), options) if again.converged else found
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        if float(left.level @ left.level) < MOST_LEFT * float(found.level @ found.level):
+            return effect
+    return None
+
+
+def _beside(problem: LatentProblem, effect: Effect, parts: Sequence[SignalSet]) -> LatentProblem:
+    """The problem of parts of the record with an effect and a disturbance."""
+    return extended(problem, parts, [effect]).with_disturbance()
+
+
+def _promising(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+               options: FitOptions) -> list[Effect]:
+    """Effects without a shape whose scores promise most likelihood, the first TRIED."""
+    candidates = small_effects(problem)
+    if not candidates:
+        return []
+    score = score_at(with_candidates(problem, signals, signals, state, candidates, options.gear_ratio), state)
+    columns = columns_of(candidates)
+    taken = np.concatenate([np.flatnonzero(free), *(free.size + own for own in columns)])
+    tests = project([score.of(taken)], int(free.sum()))
+    gains = [tests.gain(own) for own in columns]
+    return [candidates[k].effect for k in np.argsort(gains)[::-1][:TRIED] if gains[k] > 0.0]
