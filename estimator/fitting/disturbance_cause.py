@@ -21,17 +21,17 @@ from estimator.score import columns_of, project, score_at
 from estimator.signals import SignalSet
 
 MOST_LEFT = 0.5
-"""Share of a disturbance's power that may be left beside an effect that explains it: less than half is noise then."""
+"""Share of a disturbance's power that may be left together with an effect that explains it."""
 TRIED = 4
 """Effects that are tried, by the likelihood that their scores promise."""
 
 
 def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
                          options: FitOptions, found: Disturbance) -> Effect | None:
-    """The listed effect beside which the disturbance `found` has less than MOST_LEFT of its power; None: there is none.
+    """The listed effect with which less than MOST_LEFT of the power of the disturbance `found` is left; None: there is none.
 
     `problem` and `state` are the fit without the disturbance. Effects whose scores promise most are fitted in its
-    place, and the likeliest disturbance is sought anew beside each.
+    place, and the likeliest disturbance is sought anew with each.
     """
     for effect in _promising(problem, state, signals, free, options):
         wide, count = extended(problem, signals, [effect]), len(effect.sizes)
@@ -40,7 +40,7 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
         try:
             again = iterate(wide, begin, np.append(free, np.ones(count, dtype=bool)), options,
                             noise_floors(wide, wide.mechanism, state.beta))
-            left = find_disturbance(disturbance_likelihood(signals, wide, again, partial(_beside, problem, effect)),
+            left = find_disturbance(disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect)),
                                     of_noise(again.noise), options) if again.converged else found
         except (FitError, np.linalg.LinAlgError):
             continue
@@ -49,7 +49,7 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
     return None
 
 
-def _beside(problem: LatentProblem, effect: Effect, parts: Sequence[SignalSet]) -> LatentProblem:
+def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalSet]) -> LatentProblem:
     """The problem of parts of the record with an effect and a disturbance."""
     return extended(problem, parts, [effect]).with_disturbance()
 
