@@ -28,7 +28,7 @@ TRIED = 4
 
 def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
                          options: FitOptions, found: Disturbance) -> Effect | None:
-    """The listed effect with which less than MOST_LEFT of the power of the disturbance `found` is left; None: there is none.
+    """The listed effect that leaves less than MOST_LEFT of the power of the disturbance `found`; None: there is none.
 
     `problem` and `state` are the fit without the disturbance. Effects whose scores promise most are fitted in its
     place, and the likeliest disturbance is sought anew with each.
@@ -40,8 +40,8 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
         try:
             again = iterate(wide, begin, np.append(free, np.ones(count, dtype=bool)), options,
                             noise_floors(wide, wide.mechanism, state.beta))
-            left = find_disturbance(disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect)),
-                                    of_noise(again.noise), options) if again.converged else found
+            likelihood = disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect))
+            left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
         except (FitError, np.linalg.LinAlgError):
             continue
         if float(left.level @ left.level) < MOST_LEFT * float(found.level @ found.level):
