@@ -253,7 +253,7 @@ What is compared:
 EVIDENCE = (
     Evidence("Speed of the default fit against CasADi with IPOPT and MuJoCo sysid", "make bench", "bench.md", 15,
              "30 times CasADi with IPOPT at 2,000 samples, 50 times MuJoCo sysid at 5,000",
-             (r"(faster than CasADi with IPOPT, 2,000 samples) \|[^|]*\| (\d+ times)",
+             (r"(faster than CasADi with IPOPT, 2,000 samples) \|[^|]*\| (\S+ times)",
               r"(faster than MuJoCo sysid at the record's rate, 5,000 samples) \|[^|]*\| (\S+ times)"), r"seed (\d+)",
              resumes="no: all times are of one load"),)
 
