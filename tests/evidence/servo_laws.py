@@ -278,7 +278,7 @@ def sts_section(repository: str) -> Iterator[str]:
 EVIDENCE = (Evidence(
     "Friction laws of servos, fitted to the same runs: what do they leave on runs that none has seen?",
     "make servo-laws BAM=PATH", "servo-laws.md", 3, "at most that of BAM's best law, fitted to the same runs",
-    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, wls: [^|]*\| [^|]*\| [^|]*)\|")),)
+    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, mle: [^|]*\| [^|]*\| [^|]*)\|")),)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
