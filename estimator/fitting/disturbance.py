@@ -20,6 +20,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from daq import FloatArray
+from estimator.fitting.excerpt import excerpt
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.noise_update import TORQUE_SHARE, most_noise
 from estimator.fitting.second_ahead import errors_ahead, log_ratio
@@ -27,7 +28,7 @@ from estimator.likelihood import OFF, LatentProblem, Latents, Noise, Process, St
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
-from estimator.signals import LEAST_SEGMENT, SignalSet, cut
+from estimator.signals import SignalSet
 
 TIME_CONSTANTS = (3.0, 10.0, 40.0, 160.0)
 """Time constants that are screened, in samples."""
@@ -171,10 +172,7 @@ def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem,
 
     `disturbed` makes the disturbed problem of these parts, by default one without effects.
     """
-    share = min(1.0, most / problem.total)
-    parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
-    starts = problem.ends - [len(s.time_s) for s in signals]
-    where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
+    parts, where = excerpt(signals, most)
     own = (LatentProblem(parts, problem.mechanism, problem.collocation.hold).with_disturbance() if disturbed is None
            else disturbed(parts))
     stiction = problem.stiction(state.noise)

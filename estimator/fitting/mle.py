@@ -311,4 +311,5 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
                      dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise),
-                     torque_colour=torque_colour(problem, state) if state.converged and mechanism.actuated else None)
+                     torque_colour=torque_colour(problem, state, signals)
+                     if state.converged and mechanism.actuated else None)

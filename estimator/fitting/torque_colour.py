@@ -7,6 +7,8 @@ noise at the levels found goes through the equations of the motion, linear about
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,15 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
+from estimator.fitting.excerpt import excerpt
 from estimator.likelihood import LatentProblem, Linearised, Noise, Process, State
 from estimator.numerics import BlockTridiagonal, correlate, eliminate
 from estimator.result import RESIDUAL_LAGS
+from estimator.signals import SignalSet
 
 SAMPLES = 16_000
-"""Of noise that are drawn at least, in LEAST_DRAWS to MOST_DRAWS records. (The mean autocorrelation of so many white
-ones scatters by 0.008.)"""
+"""Of a record that are looked at, and of noise that are drawn at least, in LEAST_DRAWS to MOST_DRAWS records. (The mean
+autocorrelation of so many white ones scatters by 0.008.)"""
 LEAST_DRAWS, MOST_DRAWS = 2, 8
 
 
@@ -37,12 +41,18 @@ class _Drawn(NamedTuple):
     """(S, N, 2, D)"""
 
 
-def torque_colour(problem: LatentProblem, state: State) -> FloatArray:
+def torque_colour(problem: LatentProblem, state: State, signals: Sequence[SignalSet]) -> FloatArray:
     """(n, RESIDUAL_LAGS) autocorrelation, at lags from 1 sample on, of a torque residual that is noise alone.
 
     Zero at passive joints. Of a joint with a coloured disturbance, of its residual's innovations. For a record
-    whose noise is d, the motion moves by H^-1 J^T W d. Raises `FitError` where H is singular.
+    whose noise is d, the motion moves by H^-1 J^T W d. Of long `signals` the first part of each is taken. Raises
+    `FitError` where H is singular.
     """
+    if problem.total > SAMPLES:
+        parts, where = excerpt(signals, SAMPLES)
+        own = LatentProblem(parts, problem.mechanism, problem.collocation.hold)
+        problem, state = (own.with_disturbance() if problem.disturbed else own), replace(
+            state, x=state.x.of(where), noise=state.noise.at(where))
     draws, n = int(np.clip(-(-SAMPLES // problem.total), LEAST_DRAWS, MOST_DRAWS)), problem.n
     drawn = _draw(problem, state.noise, draws, np.random.default_rng(0))
     point = problem.motion_equations(state.x, state.beta, state.noise)
@@ -54,9 +64,9 @@ def torque_colour(problem: LatentProblem, state: State) -> FloatArray:
     for j in problem.mechanism.actuated:
         left = np.where(rest[:, j, None], np.nan, _innovations(problem, state.noise, drawn.torque[:, j]
                                                                - moved[:, 2 * n + j], j))
-        parts = np.split(left, problem.ends[:-1])
-        out[j] = np.mean([correlate(own, own, np.arange(1.0, RESIDUAL_LAGS + 1))
-                          for d in range(draws) for own in [[part[:, d] for part in parts]]], axis=0)
+        for one in left.T:
+            segments = np.split(one, problem.ends[:-1])
+            out[j] += correlate(segments, segments, np.arange(1.0, RESIDUAL_LAGS + 1)) / draws
     return out
 
 

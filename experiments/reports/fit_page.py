@@ -210,8 +210,8 @@ def _residuals(result: FitResult) -> list[Section]:
         return []
     rows = [[c.what, f"{100 * c.outside:.0f} %", f"{c.largest:.2f}", f"{c.band:.3f}"] for c in (*auto, *cross)]
     force = [c for c in auto if any(c.what == f"torque {j + 1}" for j in result.mechanism.actuated)]
-    pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}; less what a right model "
-                             "leaves; the band holds 99 % of it.") for c in (force or auto)]
+    pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}, less what a right model "
+                             "leaves; the band holds 99 % of that.") for c in (force or auto)]
     pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
                               "holds 99 % of it if they are independent.") for c in _leading(cross)]
     return [Section(

@@ -15,13 +15,14 @@ from daq.rig import load_rig
 from estimator import Combination, Finding, FitOptions, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
-from estimator.result import OmittedEffect
+from estimator.result import OmittedEffect, Trajectory
 from experiments import cli
 from experiments.documents import ComparisonDocument
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
 from experiments.excite.multisine import random_multisine
 from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
+from experiments.judge.fit_checks import check_fit
 from experiments.judge.residuals import (
     autocorrelation,
     cross_correlation,
@@ -81,8 +82,8 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
     told = fit_trust(said[0.15])
     assert told.sentence.startswith("DO NOT TRUST the parameters: ") and len(told.sentence) <= 120
-    assert "an unmeasured torque repeats" in told.sentence
-    assert any("at joint 1 is a function of the state" in reason for reason in told.reasons)
+    assert "a passive joint has a torque residual" in told.sentence
+    assert any("not taken for noise: joint_stiffness@1 explains" in one for one in said[0.15].assumptions)
     assert "coloured" not in " ".join(exact.assumptions)
 
 
@@ -247,3 +248,20 @@ def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     assert "nan" not in text.replace("scan", "") and str(document.trust).startswith(words)
     assert "data-tone" in render_page("t", "s", comparison_sections(document, found.table),
                                       verdict=trust_box(document.trust))
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_disturbance_that_is_a_function_of_the_state_is_structure(repeats: bool) -> None:
+    rng, time = np.random.default_rng(5), np.arange(2000) / 200.0
+    sound, paths = synthetic_fit(), []
+    for k in range(3):
+        q = np.column_stack([0.3 * np.sin((2.0 + k) * time), np.sin((3.0 + 0.7 * k) * time + k)])
+        e = np.zeros_like(q)
+        slow = np.convolve(rng.normal(0.0, 0.005, time.size), np.ones(40) / 6.0, "same")
+        e[:, 0] = 0.2 * q[:, 0] ** 3 if repeats else slow
+        nothing = np.zeros_like(q)
+        paths.append(Trajectory(f"run{k}", time, q, np.gradient(q, time, axis=0), nothing, nothing, nothing, {}, {}, e))
+    noise = {**sound.noise, "torque_nm": 0.001, "passive_joint_nm": 0.0005}
+    told = [one.text for one in check_fit(replace(sound, trajectories=tuple(paths), noise=noise))
+            if one.kind == "repeating_torque"]
+    assert bool(told) == repeats and all("at joint 1 is a function of the state" in text for text in told)
