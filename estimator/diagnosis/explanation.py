@@ -167,13 +167,10 @@ def is_close(other: Explanation, most: Explanation) -> bool:
     """Whether these runs do not tell `other` from the `most` likely with the probability SURE.
 
     Two explanations that are D apart in gain have the odds exp(-(D - L) / 2), L their `margin`. Or more than a share
-    1 - SURE of the differences between them, run by run, is in favour of `other`. Or they differ by effects of one
-    group, which differ little on any record, the `most` likely leaves a residual, and `other` errs no more: the
-    likelihood of a model that lacks something does not tell these apart.
+    1 - SURE of the differences between them, run by run, is in favour of `other`.
     """
     worse = other.by_run - most.by_run
-    as_good = most.has_residual and equivalent(other, most) and other.error <= most.error
-    return bool(as_good or most.gain - other.gain <= margin(other, most) + LEAST_APART
+    return bool(most.gain - other.gain <= margin(other, most) + LEAST_APART
                 or np.maximum(-worse, 0.0).sum() > (1.0 - SURE) * np.abs(worse).sum())
 
 

@@ -115,19 +115,6 @@ def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
     assert told == ["joint_stiffness", "asymmetric_friction"]
 
 
-@pytest.mark.parametrize(("leaves", "error", "told"), [
-    (True, 0.21, ["torque_offset", "asymmetric_friction"]),  # as good a simulation
-    (True, 0.23, ["torque_offset"]),
-    (False, 0.21, ["torque_offset"])])  # the likelihood is that of a whole model
-def test_a_model_that_lacks_something_does_not_tell_one_group_apart(leaves: bool, error: float, told: list[str]
-                                                                    ) -> None:
-    """Asymmetric friction of 0.09 N m was named a torque offset, gains 60 apart, both with 1.46 floors left."""
-    offset, friction = (replace(explanation(effect, gain, by_run, has_residual=leaves), error=own)
-                        for effect, gain, by_run, own in ((TorqueOffset(), 1060.0, [0.0] * 6, 0.22),
-                                                          (AsymmetricFriction(1), 1000.0, [10.0] * 6, error)))
-    assert names(indistinguishable_set([offset, friction])) == told
-
-
 def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     likely = explanation(EncoderScale(1), 1500.0, [0.0] * 6, has_residual=True)
     assert names(indistinguishable_set([likely, explanation(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
