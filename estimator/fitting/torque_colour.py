@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.errors import FitError
 from estimator.fitting.excerpt import excerpt
 from estimator.likelihood import LatentProblem, Linearised, Noise, Process, State
 from estimator.numerics import BlockTridiagonal, correlate, eliminate
@@ -45,8 +44,8 @@ def torque_colour(problem: LatentProblem, state: State, signals: Sequence[Signal
     """(n, RESIDUAL_LAGS) autocorrelation, at lags from 1 sample on, of a torque residual that is noise alone.
 
     Zero at passive joints. Of a joint with a coloured disturbance, of its residual's innovations. For a record
-    whose noise is d, the motion moves by H^-1 J^T W d. Of long `signals` the first part of each is taken. Raises
-    `FitError` where H is singular.
+    whose noise is d, the motion moves by H^-1 J^T W d. Of long `signals` the first part of each is taken. Where H is
+    singular all is zero, so that nothing is taken off.
     """
     if problem.total > SAMPLES:
         parts, where = excerpt(signals, SAMPLES)
@@ -56,11 +55,11 @@ def torque_colour(problem: LatentProblem, state: State, signals: Sequence[Signal
     draws, n = int(np.clip(-(-SAMPLES // problem.total), LEAST_DRAWS, MOST_DRAWS)), problem.n
     drawn = _draw(problem, state.noise, draws, np.random.default_rng(0))
     point = problem.motion_equations(state.x, state.beta, state.noise)
+    rest, out = _at_rest(problem, state.noise), np.zeros((n, RESIDUAL_LAGS))
     try:
         moved = eliminate(_by_noise(problem, state.noise, point, drawn)).solutions()
     except np.linalg.LinAlgError:
-        raise FitError("the equations of the motion became singular") from None
-    rest, out = _at_rest(problem, state.noise), np.zeros((n, RESIDUAL_LAGS))
+        return out
     for j in problem.mechanism.actuated:
         left = np.where(rest[:, j, None], np.nan, _innovations(problem, state.noise, drawn.torque[:, j]
                                                                - moved[:, 2 * n + j], j))
