@@ -22,7 +22,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.fitting.excerpt import excerpt
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.noise_update import TORQUE_SHARE, most_noise
+from estimator.fitting.noise_update import TORQUE_SHARE, floors_under, most_noise
 from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.likelihood import OFF, LatentProblem, Latents, Noise, Process, State, add_reading
 from estimator.model import Mechanism
@@ -83,7 +83,7 @@ class MarginalLikelihood:
     def __init__(self, problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise) -> None:
         """`problem` is a disturbed one. Its equation of motion and the other sensors keep the levels of `noise`."""
         self.problem, self.noise = problem, noise
-        self.floors = noise_floors(problem, problem.mechanism, beta[: problem.mechanism.p])
+        self.floors = floors_under(noise, noise_floors(problem, problem.mechanism, beta[: problem.mechanism.p]))
         begin = replace(noise, disturbance=noise.torque, time_constant=np.full(problem.n, 10.0 * problem.dt))
         point = problem.motion_equations(x, beta, begin)
         self.residual, self.e = point.residuals["torque"], point.residuals["e"]

@@ -36,7 +36,15 @@ from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.loop_terms import Extra, Fitted, extended, with_loop_terms
 from estimator.fitting.motion_search import search_hold, search_motion, without_age
-from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
+from estimator.fitting.noise_levels import (
+    colour,
+    disturbance_levels,
+    imu_levels,
+    independence,
+    torque_levels,
+    unseen_levels,
+    unseen_text,
+)
 from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.profile_likelihood import suits
@@ -44,6 +52,7 @@ from estimator.fitting.run_levels import run_noise
 from estimator.fitting.small_faults import SmallFault, faults_shown, sizes_of, told, without_faults
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.torque_colour import torque_colour
+from estimator.fitting.unseen_torque import with_unseen_torque
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
@@ -125,6 +134,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if chosen is not None and chosen.hold != options.hold:
         options = replace(options, hold=chosen.hold)
         problem, state = search_motion(signals, mechanism, options, free, beta, state)
+    state = with_unseen_torque(problem, state, free, options)
     problem, state, cause = _with_disturbance(problem, state, signals, free, options)
     loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
     state, extra = loops.state, loops.extra
@@ -153,7 +163,8 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
     slow = None if cause is None else (f"a slow torque error is not taken for noise: {cause.key} explains most of it. "
                                        "Run legid diagnose")
-    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), slow, found) if text is not None)
+    unseen = unseen_text(state.noise, mechanism.unit("N m"))
+    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), unseen, slow, found) if text)
     return _Fitted(replace(result, assumptions=(*result.assumptions, *said), loop=loops.terms), value, options.hold,
                    known._replace(aged=aged), faults, less)
 
@@ -284,7 +295,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         noise["encoder_rad"] = float(np.max(state.noise.encoder[problem.has_encoder]))
     if problem.has_imu:
         noise |= imu_levels(state.noise)
-    noise |= disturbance_levels(state.noise)
+    noise |= disturbance_levels(state.noise) | unseen_levels(state.noise)
     trajectories = []
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         measured, predicted = dict(s.imu), {}

@@ -43,6 +43,18 @@ def disturbance_levels(noise: Noise) -> dict[str, float]:
             ((f"disturbance{j + 1}_nm", noise.disturbance[j]), (f"disturbance{j + 1}_s", noise.time_constant[j]))}
 
 
+def unseen_levels(noise: Noise) -> dict[str, float]:
+    """Level [N m] of each joint's torque between samples that no sample shows, of the joints that have one."""
+    return {f"unseen{j + 1}_nm": float(noise.unseen[j]) for j in np.flatnonzero(noise.unseen)}
+
+
+def unseen_text(noise: Noise, unit: str) -> str | None:
+    """Sentence on it; None where there is none."""
+    told = [f"{noise.unseen[j]:.2g} {unit} at joint {j + 1}" for j in np.flatnonzero(noise.unseen)]
+    return ("torque acts between samples that no sample shows, as of a loop that is faster than the log: "
+            f"{' and '.join(told)}; it counts as noise of the motion") if told else None
+
+
 def colour(noise: Noise) -> str:
     """Whether noise is white, in words."""
     joints = [f"joint {j + 1} ({noise.disturbance[j]:.2g} over {noise.time_constant[j]:.2g} s)"

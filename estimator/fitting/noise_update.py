@@ -21,6 +21,7 @@ from estimator.likelihood import (
     find_smoothing,
     find_stiction,
     unit_scale,
+    unseen_level,
 )
 from estimator.options import FitOptions
 from estimator.signals import encoder_level
@@ -48,6 +49,11 @@ LEAST_FREEDOM = 0.002
 """Least share of a channel's samples that counts as not taken by the latents: a level divides by it."""
 LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
 """Factors within which a level changes in one step: the first ones come from far off."""
+QUIET = 0.15
+"""Factor on `noise_floors` that makes of them a tenth of what a record's neighbouring samples show; see
+`floors_under`."""
+LEAST_UNSEEN = 0.01
+"""Least level of a torque that no sample shows over the torque's noise: that of the equation's slack."""
 PASSIVE_WAIT = 1
 FALL_FACTOR, RISE_FACTOR = 0.985, 1.1
 PASSIVE_EXPONENT = 4.0
@@ -110,11 +116,12 @@ class NoiseUpdate:
             self._found_smoothing = False
             if self.seeks_smoothing and iteration >= ROUGH_STEPS:
                 problem = self._smoothed(problem, state, taken, residuals["torque"], iteration)
-            self._change = 0.0
+            self._change, floors = 0.0, floors_under(state.noise, self.floors)
+            unseen = _unseen(problem, state, taken)
             if self.levels_by_run and (state.noise.scale is not None or taken.moved < RUNS_APART):
                 state.noise, self._change = _with_scale(problem, state.noise, residuals, self._dof, self.options,
-                                                        self.floors)
-            noise = _renewed(problem, state, self._dof, residuals, self.options, self.floors)
+                                                        floors)
+            noise = replace(_renewed(problem, state, self._dof, residuals, self.options, floors), unseen=unseen)
             self._change, state.noise = max(self._change, _change_of(state.noise, noise)), noise
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
         if problem.disturbed:
@@ -142,6 +149,26 @@ def most_noise(problem: LatentProblem, joint: int, floors: Noise, disturbed: boo
     if disturbed:
         return SHOWN * encoder_level(problem.torque[:, joint]) + float(floors.torque[joint])
     return TORQUE_SHARE * float(problem.torque_spread[joint]) + float(floors.torque[joint])
+
+
+def floors_under(noise: Noise, floors: Noise) -> Noise:
+    """`floors` as they are, or a tenth of what neighbouring samples show where torque acts that no sample shows.
+
+    There a sensor's activity from sample to sample is motion, not its noise.
+    """
+    if not noise.unseen.any():
+        return floors
+    return replace(floors, torque=QUIET * floors.torque, gyro=QUIET * floors.gyro, accel=QUIET * floors.accel)
+
+
+def _unseen(problem: LatentProblem, state: State, taken: Taken) -> FloatArray:
+    """(n,) renewed level of the torque that no sample shows."""
+    old = state.noise.unseen
+    if not old.any():
+        return old
+    found = unseen_level(problem, state.x, state.beta, state.noise, taken.solved)
+    least = np.maximum(LEAST_FACTOR * old, LEAST_UNSEEN * state.noise.torque)
+    return np.where(old > 0.0, np.clip(found, least, np.maximum(MOST_FACTOR * old, least)), 0.0)
 
 
 def mistaken_torques(problem: LatentProblem, state: State, floors: Noise) -> list[int]:
@@ -212,7 +239,8 @@ def _level(old: Noise, previous: float, floor: float, residual: FloatArray, take
 
 def _change_of(old: Noise, new: Noise) -> float:
     """Largest relative change of a level."""
-    pairs = ((new.torque, old.torque), (new.encoder, old.encoder),
+    own = old.unseen > 0.0
+    pairs = ((new.torque, old.torque), (new.encoder, old.encoder), (new.unseen[own], old.unseen[own]),
              (np.append(new.accel, new.gyro), np.append(old.accel, old.gyro)))
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.fitting.excerpt import excerpt
-from estimator.likelihood import LatentProblem, Linearised, Noise, Process, State
+from estimator.likelihood import GaussRows, LatentProblem, Linearised, Noise, Process, State
 from estimator.numerics import BlockTridiagonal, correlate, eliminate
 from estimator.result import RESIDUAL_LAGS
 from estimator.signals import SignalSet
@@ -38,6 +38,8 @@ class _Drawn(NamedTuple):
     """(S, N, D)"""
     accel: FloatArray
     """(S, N, 2, D)"""
+    unseen: FloatArray
+    """(n, 2, K, D) at the Gauss points, of torque that no sample shows"""
 
 
 def torque_colour(problem: LatentProblem, state: State, signals: Sequence[SignalSet]) -> FloatArray:
@@ -57,7 +59,7 @@ def torque_colour(problem: LatentProblem, state: State, signals: Sequence[Signal
     point = problem.motion_equations(state.x, state.beta, state.noise)
     rest, out = _at_rest(problem, state.noise), np.zeros((n, RESIDUAL_LAGS))
     try:
-        moved = eliminate(_by_noise(problem, state.noise, point, drawn)).solutions()
+        moved = eliminate(_by_noise(problem, state, point, drawn)).solutions()
     except np.linalg.LinAlgError:
         return out
     for j in problem.mechanism.actuated:
@@ -91,12 +93,16 @@ def _draw(problem: LatentProblem, noise: Noise, draws: int, rng: np.random.Gener
         gyro[k] *= np.reshape(np.sqrt(problem.gyro_variance(k, noise)), (-1, 1))
         accel[k] = np.linalg.cholesky(np.linalg.inv(noise.accel_precision(k))) @ accel[k]
         accel[k] *= 1.0 if scale is None else scale.accel[k][:, :, None]
-    return _Drawn(torque, encoder, gyro, accel)
+    level = noise.unseen if noise.unseen.any() else np.zeros(problem.n)
+    unseen = np.zeros((problem.n, 2, problem.left.size, draws))
+    for j in map(int, np.flatnonzero(level)):
+        unseen[j] = level[j] * rng.normal(size=unseen.shape[1:])
+    return _Drawn(torque, encoder, gyro, accel, unseen)
 
 
-def _by_noise(problem: LatentProblem, noise: Noise, point: Linearised, drawn: _Drawn) -> BlockTridiagonal:
+def _by_noise(problem: LatentProblem, state: State, point: Linearised, drawn: _Drawn) -> BlockTridiagonal:
     """The equations of `point` with J^T W d of each record d on the right."""
-    own, draws = point.chain, drawn.torque.shape[-1]
+    own, draws, noise = point.chain, drawn.torque.shape[-1], state.noise
     chain = BlockTridiagonal.zeros(problem.total, own.block, draws)
     chain.diagonal[:], chain.lower[:] = own.diagonal, own.lower
     variances = problem.torque_variance(noise)
@@ -113,6 +119,14 @@ def _by_noise(problem: LatentProblem, noise: Noise, point: Linearised, drawn: _D
         scale = 1.0 if noise.scale is None else noise.scale.accel[k][:, :, None]
         weighted = noise.accel_precision(k) @ (drawn.accel[k] / scale) / scale
         chain.right[:] += point.accel_rows[k].swapaxes(1, 2) @ weighted
+    if noise.unseen.any():
+        rows = GaussRows(problem, state.x, state.beta[: problem.mechanism.p], point.extra)
+        for j in map(int, np.flatnonzero(noise.unseen)):
+            squared = problem.motion_weight(noise)[j] ** 2
+            weighted = squared[:, None] * drawn.unseen[j]
+            added = np.einsum("gki,gkd->kid", rows.of(j, slice(None)), weighted, optimize=True)
+            chain.right[problem.left] += added[:, : own.block]
+            chain.right[problem.left + 1] += added[:, own.block :]
     return chain
 
 

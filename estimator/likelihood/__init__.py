@@ -5,6 +5,7 @@ from estimator.likelihood.disturbance import OFF, Process
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.free_run import LOST_RAD, FreeRun, free_run, pieces, read_motion
+from estimator.likelihood.gauss_rows import GaussRows, unseen_level
 from estimator.likelihood.kernels import compile_kernels
 from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.measured_runs import MeasuredRuns, slack_of
@@ -17,8 +18,9 @@ from estimator.likelihood.stiction import draw_stiction, find_smoothing, find_st
 from estimator.likelihood.weighted_residuals import weighted_residuals_after
 
 __all__ = [
-    "LOST_RAD", "OFF", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "LatentProblem", "Latents", "Linearised",
-    "MeasuredRuns", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State", "add_reading",
-    "compile_kernels", "draw_stiction", "effective_samples", "find_smoothing", "find_stiction", "free_run",
-    "held_variance", "pieces", "read_motion", "slack_of", "unit_scale", "weighted_residuals_after",
+    "LOST_RAD", "OFF", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "GaussRows", "LatentProblem", "Latents",
+    "Linearised", "MeasuredRuns", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State",
+    "add_reading", "compile_kernels", "draw_stiction", "effective_samples", "find_smoothing", "find_stiction",
+    "free_run", "held_variance", "pieces", "read_motion", "slack_of", "unit_scale", "unseen_level",
+    "weighted_residuals_after",
 ]

@@ -4,7 +4,7 @@ Unknown at each sample: angle q, rate v and acting torque u of every joint (bloc
 beta, then the sizes and shapes of each effect. Where joints are `disturbed` there is also the coloured error e of each
 torque reading (b = 4 joints). Residuals, each over its standard deviation:
 
-    equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * slack_of
+    equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * slack_of, and unseen
     torque sample (zero on a passive joint)              u + e - y_u                   sigma_u
     disturbance, of time constant T                      e' - exp(-dt / T) e           s (1 - exp(-2 dt / T))^1/2
     encoder                                              q - y_q                       sigma_q

@@ -165,7 +165,8 @@ class MeasuredRuns:
 
     def motion_level(self, noise: Noise) -> FloatArray:
         """(n, K) standard deviation there by noise, not by rest [N m]; (n, 1) where runs are alike."""
-        level = (slack_of(self.mechanism) * noise.torque)[:, None]
+        level = slack_of(self.mechanism) * noise.torque
+        level = (np.hypot(level, noise.unseen) if noise.unseen.size else level)[:, None]
         return level if noise.scale is None else level * noise.scale.torque[self.left].T
 
     def torque_level(self, noise: Noise) -> FloatArray:

@@ -40,6 +40,9 @@ class Noise:
     no joint has one."""
     time_constant: FloatArray = field(default_factory=_no_gyro)
     """(n,) its time constant [s]."""
+    unseen: FloatArray = field(default_factory=_no_gyro)
+    """(n,) standard deviation of the torque between samples that no sample shows [N m], at each Gauss point; empty
+    where there is none. Samples of a controller's torque show some of its steps."""
     scale: NoiseScale | None = None
     """Of each of the N samples of one record, where runs differ in noise."""
     stiction: FloatArray | None = None

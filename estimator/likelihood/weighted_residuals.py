@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
+from estimator.likelihood.gauss_rows import GaussRows
 from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised, WeightedResiduals, of_channel
@@ -23,15 +24,9 @@ def weighted_residuals_after(problem: LatentProblem, x: Latents, beta: FloatArra
     m, c, left, extra = problem.mechanism, problem.collocation, problem.left, point.extra
     n = problem.n
     moved = c.motion(step[:, :n], step[:, n : 2 * n], left)  # features are linear in angles and rates
-    z, own = c.fast(*c.motion(x.q, x.v, left), beta)
-    torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:]) - c.torque(x.u + step[:, 2 * n : 3 * n], left)
-    if problem.between is not None:
-        torque -= problem.between
-    if extra is not None:
-        torque += extra.torque
-        if extra.slopes is not None:
-            own += extra.slopes.transpose(0, 3, 1, 2, 4)
-    torque += np.einsum("igfjk,fjgk->igk", own, np.stack(moved))
+    rows = GaussRows(problem, x, beta, extra)
+    torque = rows.residual - c.torque(step[:, 2 * n : 3 * n], left)
+    torque += np.einsum("igfjk,fjgk->igk", rows.slopes, np.stack(moved))
     torque *= problem.motion_weight(noise)[:, None] ** 2
     residuals = problem.residuals_after(point, step, np.zeros(0), np.zeros(0, dtype=np.intp))
     variances = problem.torque_variance(noise)

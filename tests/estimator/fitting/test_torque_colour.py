@@ -5,29 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq import FloatArray
 from estimator.fitting.excerpt import excerpt
 from estimator.fitting.torque_colour import torque_colour
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import leg2
-from estimator.numerics import BlockTridiagonal
 from estimator.options import FitOptions
 from estimator.result import RESIDUAL_LAGS
 from estimator.signals.segments import split_signals
+from tests.support.dense_chain import dense
 from tests.support.mujoco_leg import Leg, record
 
 SMOOTH = Leg(coulomb=(0.0, 0.0))
-
-
-def dense(chain: BlockTridiagonal) -> FloatArray:
-    """(N b, N b) of a chain."""
-    count, b, _ = chain.diagonal.shape
-    out = np.zeros((count, b, count, b))
-    for k in range(count):
-        out[k, :, k] = chain.diagonal[k]
-    for k in range(count - 1):
-        out[k + 1, :, k], out[k, :, k + 1] = chain.lower[k], chain.lower[k].T
-    return out.reshape(count * b, count * b)
 
 
 @pytest.mark.parametrize("sensors", ["imu", "encoder"])

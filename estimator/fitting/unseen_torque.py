@@ -1,0 +1,75 @@
+"""Torque between samples that no sample shows: a controller's steps of which the log holds only some.
+
+A log of 200 Hz shows two or three of five steps of a loop at 500 Hz. What the others do moves the leg, but neither the
+torque's sensor nor an accelerometer at the samples reads it. Taken for noise of these sensors, it makes their levels
+several times too large and biases the parameters (measured: by 2.5 %, with 4096 counts). So it is noise of the
+equation of motion, at the Gauss points. That it correlates with the acceleration is left alone: `expected_score` would
+take it off the parameters, but not off the effects' scores, which then suspect a rotor. (Measured on these legs: by at
+most 0.4 % of a parameter.)
+
+It is sought where the level of a sensor is below what neighbouring samples show of it, so that a part of their activity
+is motion, and kept where the likelihood asks for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import Policies, descend
+from estimator.fitting.initial_guess import noise_floors
+from estimator.fitting.latent_motion import converge_motion
+from estimator.likelihood import GaussRows, LatentProblem, Noise, State
+from estimator.numerics import eliminate
+from estimator.options import FitOptions
+
+ACTIVE = 0.85
+"""Noise level over the activity of neighbouring samples, below which a part of that activity is motion. (Of white noise
+alone it is 0.9 to 1.1 on legs under a plan, and 0.55 to 0.73 under a PD loop of several ticks a sample.)"""
+
+
+def with_unseen_torque(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions) -> State:
+    """The fit with torque that no sample shows at every driven joint; `state` where nothing asks for it."""
+    mechanism = problem.mechanism
+    joints = [j for j in mechanism.actuated if options.torque_noise(j, True) is None]
+    floors = noise_floors(problem, mechanism, state.beta)
+    if not state.converged or not joints or not _moves(problem, state.noise, joints):
+        return state
+    unseen = np.zeros(problem.n)
+    unseen[joints] = state.noise.torque[joints]
+    begin = replace(state, noise=replace(state.noise, unseen=unseen))
+    try:
+        found = descend(problem, begin, free, Policies.of(options, floors, levels_by_run=True))
+        with_, without = (log_marginal(problem, converge_motion(problem, one)) for one in (found, state))
+    except (FitError, np.linalg.LinAlgError):
+        return state
+    likelier = with_ > without + 0.5 * len(joints) * np.log(problem.total)
+    return found if found.converged and likelier else state
+
+
+def _moves(problem: LatentProblem, noise: Noise, joints: list[int]) -> bool:
+    """Whether the level of a driven torque, a gyro or an accelerometer is below what its neighbouring samples show."""
+    shown = problem.shown
+    pairs = ((noise.torque[joints], shown.torque[joints]), (noise.gyro, shown.gyro), (noise.accel, shown.accel))
+    return any(bool(np.any(level < ACTIVE * activity)) for level, activity in pairs)
+
+
+def log_marginal(problem: LatentProblem, state: State) -> float:
+    """log p(readings) up to a constant, with the motion integrated out (Laplace). Raises `LinAlgError`.
+
+    -1/2 (weighted squares + log det H + log det R) + log |det J|, J the derivatives of an interval's torques by the
+    motion at its end: by it a density of torques becomes one of motions.
+    """
+    noise, beta = state.noise, state.beta[: problem.mechanism.p]
+    point = problem.motion_equations(state.x, state.beta, noise)
+    weight = problem.motion_weight(noise)
+    volume = 2.0 * float(np.sum(np.log(weight))) - 0.5 * float(np.sum(np.log(problem.torque_variance(noise))))
+    volume += problem.total * float(np.sum(np.log(noise.torque))) - problem.log_volume(noise)
+    for kind, values in noise.scale.by_kind() if noise.scale is not None else ():
+        volume -= 0.0 if kind == "torque" else float(np.sum(np.log(values)))
+    rows = GaussRows(problem, state.x, beta, point.extra)
+    return (-0.5 * (point.objective + eliminate(point.chain).log_determinant()) + volume
+            + float(np.sum(np.linalg.slogdet(rows.ahead())[1])))
