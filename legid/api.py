@@ -37,9 +37,10 @@ from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
 from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model, load_model, range_note_of, save_model
+from experiments.provenance import Origin
 from experiments.reports import REFERENCE_NAMES, model_with_origin, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
-from experiments.session import load_runs, prepare
+from experiments.session import Setup, load_runs, prepare
 from experiments.workflows import (
     Asked,
     as_reference,
@@ -61,8 +62,9 @@ from experiments.workflows import (
 )
 from legid.changes import Change, Investigation, Watching
 from legid.comparisons import Comparison
+from legid.fits import FitResult
 from legid.listings import Tuning
-from legid.results import Dataset, Diagnosis, FitResult, dressed, sources_of
+from legid.results import Dataset, Diagnosis, dressed, sources_of
 from legid.validations import Validation, Validations
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
@@ -118,15 +120,17 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
       IEEE TCST 26(4), 2018), rls, hekf (its appendices). `latent="free"`: the paper's maximum likelihood, section IV.
     - `sensors`: imu or encoder, the source of the pivot's angle; None takes the IMU where all runs have it.
     - `fixed`: given parameters by name.
-    - Result: `beta` (p,) in the order of `mechanism.parameters`, which have the units (kg m^2, kg m, N m s/rad, N m);
-      `covariance` (p, p), `ci95()` (p, 2), `noise`, the estimated motion, `to_frame()`, `plot()`.
+
+    The result is the document `legid.fit/1` (docs/formats.md): `trust`, `parameters`, `noise`, and so on. It also has
+    `beta` (p,) in the order of `mechanism.parameters`, which have the units (kg m^2, kg m, N m s/rad, N m), `ci95()`
+    (p, 2), `covariance` (p, p), the estimated motion (`trajectories`), `to_frame()` and `plot()`.
 
     Check `converged` and `undetermined`; `model` refuses an unusable result. Raises `InputError`, or `FitError` where
     the data cannot answer.
     """
     given, known = _given(runs, rig)
     found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
-    return dressed(FitResult, found.result, runs=given, rig=found.rig, fitted=found)
+    return FitResult.made_from(found, given, origin_from(sources_of(given)))
 
 
 def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
@@ -242,19 +246,23 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     return Tuning(found, tuple(map(source_of, paths)))
 
 
-def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
+def model(found: FitResult | PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
           ) -> Model:
     """A fit, or a diagnosis with its effects, as the model that `validate`, `simulate` and `save_model` take.
 
     `runs` and `rig` are those it was made from; a result of `fit` or `diagnose` remembers them. Raises `WorkError` for
     a fit that did not converge or left parameters undetermined, and for a diagnosis that failed.
     """
+    if isinstance(found, FitResult):
+        setup, fit = found.fitted.setup, found.estimate
+        check_sound(fit, for_model=True)
+        return _with_origin(model_of(fit, setup.settings, setup.options.hold, [run.name for run in setup.datasets]),
+                            found.runs, setup, found.provenance or None)
     if runs is None:
-        runs = found.fitted if isinstance(found, Diagnosis) else found.runs if isinstance(found, FitResult) else ()
-    given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis | FitResult) else None))
+        runs = found.fitted if isinstance(found, Diagnosis) else ()
+    given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis) else None))
     setup = found.prepared.setup if isinstance(found, Diagnosis) and found.prepared is not None else \
-        found.fitted.setup if isinstance(found, FitResult) and found.fitted is not None else prepare(given, known).setup
-    sources = sources_of(given)
+        prepare(given, known).setup
     if isinstance(found, PlainDiagnosis):
         if found.verdict == "fit_failed":
             raise WorkError(found.sentence)
@@ -264,9 +272,7 @@ def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLi
     else:
         check_sound(found, for_model=True)
         made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])
-    if len(sources) < len(given):  # runs made by hand have no file to be named
-        return made
-    return model_with_origin(made, origin_from(sources), setup.datasets)
+    return _with_origin(made, given, setup)
 
 
 def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
@@ -336,6 +342,13 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     if note:
         warnings.warn(note, stacklevel=2)
     return dressed(Dataset, found)
+
+
+def _with_origin(made: Model, runs: Sequence[PlainDataset], setup: Setup, origin: Origin | None = None) -> Model:
+    """`made` with the files that it came from; runs made by hand have none to be named."""
+    sources = sources_of(runs)
+    return made if len(sources) < len(runs) else model_with_origin(made, origin or origin_from(sources),
+                                                                   setup.datasets)
 
 
 def _rig(rig: RigLike) -> Rig:

@@ -17,27 +17,19 @@ import numpy as np
 
 from daq import Dataset as PlainDataset
 from daq import Rig, WorkError
-from estimator import FitResult as PlainFit
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
-from experiments.judge import fit_trust
 from experiments.reports import (
-    PARAMETER_HEADER,
     Source,
-    agreement_lines,
     diagnosis_document,
     error_rows,
     gap_text,
     origin_from,
-    parameter_rows,
-    parameter_text,
     short_diagnosis_text,
     size_rows,
     write_diagnosis,
     write_document,
-    write_fit,
 )
 from experiments.session import Prepared, damaged_runs
-from experiments.workflows import Fitted
 from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
@@ -90,77 +82,6 @@ class Dataset(Shown, PlainDataset):
         seconds = len(self) / self.rate_hz
         return (paragraphs([f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {seconds:.1f} s"])
                 + html_table(["column", "smallest", "mean", "largest", "missing"], rows))
-
-
-@dataclass(frozen=True, repr=False)
-class FitResult(Shown, PlainFit):
-    """Identified parameters with their covariance, noise levels and the motion that they came with."""
-
-    runs: tuple[PlainDataset, ...] = ()
-    """What was given to be fitted."""
-    rig: Rig | None = None
-    fitted: Fitted | None = None
-    """The runs used, those set aside, the entries of the rig that were chosen."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.fit/1`, as `legid fit --json` writes it. Raises `WorkError` for a result that `fit` did not give."""
-        if self.fitted is None:
-            raise WorkError("only a result of legid.fit has a document")
-        return {**self.fitted.document, "damaged": damaged_runs(self.fitted.setup.datasets)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, sources_of(self.runs))
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid fit --html`. Raises `InputError`, and `WorkError` for a result that `fit` did not
-        give."""
-        if self.fitted is None:
-            raise WorkError("only a result of legid.fit has a page")
-        setup = self.fitted.setup
-        write_fit(path, self, setup.settings.model, setup.datasets, origin_from(sources_of(self.runs)))
-
-    @property
-    def trust(self) -> str:
-        """Whether the parameters can be trusted, and for what: the first line of `legid fit`."""
-        return fit_trust(self).sentence
-
-    def to_frame(self) -> DataFrame:
-        """One row a parameter: value, std, low and high of its 95 % interval, unit, meaning, whether it was given.
-
-        What the data does not determine is NaN. Raises `WorkError` without pandas.
-        """
-        parameters = self.mechanism.parameters
-        open_ = np.array([p.name in self.open_parameters for p in parameters])
-        numbers = np.where(open_[:, None], np.nan, np.column_stack([self.beta, self.std, self.ci95()]))
-        return frame({"parameter": [p.name for p in parameters],
-                      **dict(zip(("value", "std", "low", "high"), numbers.T)),
-                      "unit": [p.unit for p in parameters], "meaning": [p.meaning for p in parameters],
-                      "fixed": [p.name in self.fixed for p in parameters]}, "parameter")
-
-    def plot(self) -> Figure:
-        """Sensors measured and as estimated, torques measured and modelled, over the first seconds.
-
-        Raises `WorkError` for a fit by a method that estimates no motion.
-        """
-        from legid.figures import fit_figure
-
-        if not self.trajectories:
-            raise WorkError(f"a fit by {self.method} has no motion to draw; use method=\"mle\"")
-        return fit_figure(self)
-
-    def __str__(self) -> str:
-        return f"{self.trust}\n\n{parameter_text(self)}"
-
-    def _repr_html_(self) -> str:
-        state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
-        notes = [f"This data does not determine {name}." for name in self.undetermined]
-        notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
-        notes += [f"Warning: {text}" for text in self.warnings]
-        return (paragraphs([self.trust, f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} "
-                            f"samples: {state}."])
-                + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
 
 
 @dataclass(frozen=True, repr=False)

@@ -25,7 +25,7 @@ ROOMS = {
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],
                     ["rig", "excite", "emulation", "session"], ["judge"], ["documents"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["cli"]],
-    "legid": [["tables", "figures"], ["results", "listings", "changes", "validations", "comparisons"],
+    "legid": [["tables", "figures"], ["results", "listings", "changes", "fits", "validations", "comparisons"],
               ["api", "tools"]],
     "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
                 ["run_casebook", "run_monte_carlo"]],

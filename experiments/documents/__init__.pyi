@@ -5,6 +5,9 @@ from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite
 from .document import keys_table as keys_table
+from .document import known as known
+from .fit import FitDocument as FitDocument
+from .fit import Parameter as Parameter
 from .known import DOCUMENTED as DOCUMENTED
 from .validation import Horizon as Horizon
 from .validation import RunFit as RunFit

@@ -2,7 +2,9 @@
 
 from experiments.documents.comparison import ComparisonDocument
 from experiments.documents.document import Document
+from experiments.documents.fit import FitDocument
 from experiments.documents.validation import ValidationDocument
 
-DOCUMENTED: dict[str, type[Document]] = {"validation": ValidationDocument, "comparison": ComparisonDocument}
+DOCUMENTED: dict[str, type[Document]] = {"fit": FitDocument, "validation": ValidationDocument,
+                                         "comparison": ComparisonDocument}
 """By the name of the verb's result."""

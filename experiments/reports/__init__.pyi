@@ -37,7 +37,6 @@ from .figures import picture_lines as picture_lines
 from .figures import plot_lines as plot_lines
 from .figures import standalone as standalone
 from .figures import window as window
-from .fit_json import fit_document as fit_document
 from .fit_page import fit_sections as fit_sections
 from .fit_page import fit_summary as fit_summary
 from .fit_page import truth_section as truth_section
@@ -46,6 +45,7 @@ from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import parameter_rows as parameter_rows
 from .fit_text import parameter_text as parameter_text
+from .fit_text import whole_fit_text as whole_fit_text
 from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table

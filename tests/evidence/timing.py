@@ -98,7 +98,7 @@ def answer(seed: int, turn: int) -> Answer:
         if cause.effect == "torque_delay":
             (size,) = (s for s in cause.size if s.name == "delay")
             delay = (-size.value, -size.ci95[1], -size.ci95[0])
-    return Answer(timing, fit.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
+    return Answer(timing, fit.estimate.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
                   tuple(c.effect for c in found.causes), found.error[0] if found.error else np.nan, delay)
 
 
