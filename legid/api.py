@@ -35,12 +35,10 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
-from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.provenance import Origin
-from experiments.reports import REFERENCE_NAMES, model_with_origin, origin_from, source_of
+from experiments.reports import REFERENCE_NAMES, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
-from experiments.session import Setup, load_runs, prepare
+from experiments.session import load_runs, prepare
 from experiments.workflows import (
     Asked,
     as_reference,
@@ -62,9 +60,11 @@ from experiments.workflows import (
 )
 from legid.changes import Change, Investigation, Watching
 from legid.comparisons import Comparison
+from legid.diagnoses import Diagnosis
 from legid.fits import FitResult
+from legid.found_models import model_of_diagnosis, model_of_fit
 from legid.listings import Tuning
-from legid.results import Dataset, Diagnosis, dressed, sources_of
+from legid.results import Dataset, dressed, sources_of
 from legid.validations import Validation, Validations
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
@@ -162,13 +162,13 @@ def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, 
 
 
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int = 1, material: float = MATERIAL,
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int | None = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
 def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model) -> Change: ...
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int = 1,
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int | None = 1,
              material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
              against: Runs | Model | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
@@ -177,12 +177,13 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
 
     - `material`: smallest relative reduction of the free-run rms error that counts.
     - `seed`: of bootstrap replicates and intervals. `reference`: an earlier model whose parameters are compared.
-    - `progress` is called with (stage, fraction done). `workers` are forked processes: use one in a program with
-      threads.
+    - `progress` is called with (stage, fraction done). `workers` are forked processes, None: one a core. Use one in
+      a program with threads.
     - `fixed`: given parameters by name; runs without a torque need one.
 
-    The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
-    and 95 % intervals. Raises `InputError` for runs that do not belong together.
+    The result is the document `legid.diagnosis/1` (docs/formats.md). Its `verdict` is none, named, partial, one_of,
+    unexplained or fit_failed; `causes` have sizes with units and 95 % intervals. Raises `InputError` for runs that do
+    not belong together.
 
     With earlier runs of the rig `against` which these are held, or a model that a diagnosis of them gave, it is a
     `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part in it.
@@ -195,10 +196,11 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
         earlier = (against,) if isinstance(against, PlainDataset) else tuple(against)
         return Change(find_change(given, earlier, known), REFERENCE_NAMES,
                       sources=(sources_of(earlier), sources_of(given)))
-    prepared = prepare(given, with_reference_terms(known, reference), fixed=fixed)
-    values = None if reference is None else reference_values(reference, "reference", prepared.setup)
+    before, where = (None, "") if reference is None else _model(reference, "reference")
+    prepared = prepare(given, with_reference_terms(known, before), fixed=fixed)
+    values = None if before is None else reference_values(before, where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
-    return dressed(Diagnosis, found, fitted=given, rig=known, prepared=prepared)
+    return Diagnosis.made_from(found, prepared, given, known, origin_from(sources_of(given)))
 
 
 @overload
@@ -246,33 +248,24 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     return Tuning(found, tuple(map(source_of, paths)))
 
 
-def model(found: FitResult | PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
-          ) -> Model:
+def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs | None = None,
+          rig: RigLike | None = None) -> Model:
     """A fit, or a diagnosis with its effects, as the model that `validate`, `simulate` and `save_model` take.
 
-    `runs` and `rig` are those it was made from; a result of `fit` or `diagnose` remembers them. Raises `WorkError` for
-    a fit that did not converge or left parameters undetermined, and for a diagnosis that failed.
+    `runs` and `rig` are those that the estimator's own result was made from; a result of `fit` or `diagnose` remembers
+    them. Raises `WorkError` for a fit that did not converge or left parameters undetermined, and for a diagnosis that
+    failed.
     """
     if isinstance(found, FitResult):
-        setup, fit = found.fitted.setup, found.estimate
-        check_sound(fit, for_model=True)
-        return _with_origin(model_of(fit, setup.settings, setup.options.hold, [run.name for run in setup.datasets]),
-                            found.runs, setup, found.provenance or None)
-    if runs is None:
-        runs = found.fitted if isinstance(found, Diagnosis) else ()
-    given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis) else None))
-    setup = found.prepared.setup if isinstance(found, Diagnosis) and found.prepared is not None else \
-        prepare(given, known).setup
-    if isinstance(found, PlainDiagnosis):
-        if found.verdict == "fit_failed":
-            raise WorkError(found.sentence)
-        made = diagnosed_model(found, setup, known.motor.gear_ratio)
-        if isinstance(found, Diagnosis) and found.prepared is not None:
-            made = as_reference(made, found.prepared)
-    else:
-        check_sound(found, for_model=True)
-        made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])
-    return _with_origin(made, given, setup)
+        return model_of_fit(found.estimate, found.fitted.setup, found.runs, found.provenance or None)
+    if isinstance(found, Diagnosis):
+        made = model_of_diagnosis(found.details, found.prepared.setup, found.rig, found.fitted,
+                                  found.provenance or None)
+        return as_reference(made, found.prepared)
+    given, known = _given(() if runs is None else runs, rig)
+    setup = prepare(given, known).setup
+    return model_of_fit(found, setup, given) if isinstance(found, PlainFit) else \
+        model_of_diagnosis(found, setup, known, given)
 
 
 def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
@@ -342,13 +335,6 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     if note:
         warnings.warn(note, stacklevel=2)
     return dressed(Dataset, found)
-
-
-def _with_origin(made: Model, runs: Sequence[PlainDataset], setup: Setup, origin: Origin | None = None) -> Model:
-    """`made` with the files that it came from; runs made by hand have none to be named."""
-    sources = sources_of(runs)
-    return made if len(sources) < len(runs) else model_with_origin(made, origin or origin_from(sources),
-                                                                   setup.datasets)
 
 
 def _rig(rig: RigLike) -> Rig:

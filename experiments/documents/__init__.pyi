@@ -1,6 +1,15 @@
 from .comparison import ComparisonDocument as ComparisonDocument
 from .comparison import ErrorPair as ErrorPair
 from .comparison import Value as Value
+from .diagnosis import DiagnosisDocument as DiagnosisDocument
+from .diagnosis_parts import CauseSize as CauseSize
+from .diagnosis_parts import NamedCause as NamedCause
+from .diagnosis_parts import contract_joint as contract_joint
+from .diagnosis_parts import errors_of as errors_of
+from .diagnosis_parts import learnt_of as learnt_of
+from .diagnosis_parts import pieces_of as pieces_of
+from .diagnosis_parts import split_key as split_key
+from .diagnosis_parts import untestable as untestable
 from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite

@@ -15,9 +15,6 @@ from .diagnosis_figures import error_bars as error_bars
 from .diagnosis_figures import signature_limits as signature_limits
 from .diagnosis_figures import signature_plot as signature_plot
 from .diagnosis_figures import trace_plot as trace_plot
-from .diagnosis_json import diagnosis_document as diagnosis_document
-from .diagnosis_json import pieces as pieces
-from .diagnosis_json import rmse as rmse
 from .diagnosis_page import diagnosis_sections as diagnosis_sections
 from .diagnosis_page import short_tables as short_tables
 from .diagnosis_page import verdict_box as verdict_box

@@ -9,12 +9,11 @@ from msgspec import structs
 from estimator import FitResult
 from estimator.prediction import PredictionTable, validations_of
 from experiments.console import command_line, write_json, write_text
-from experiments.documents import FitDocument, ValidationDocument
+from experiments.documents import DiagnosisDocument, FitDocument, ValidationDocument
 from experiments.judge import estimates_of, model_of, validation_trust
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
-    diagnosis_document,
     diagnosis_sections,
     fit_sections,
     fit_summary,
@@ -27,7 +26,6 @@ from experiments.reports import (
     validation_section,
     verdict_box,
     verdict_words,
-    with_origin,
     write_page,
 )
 from experiments.workflows.demo_result import Demo
@@ -46,7 +44,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     save_model(model_with_origin(demo.model, origin), written["extended model"])
     fit = structs.replace(FitDocument.of(result, setup.settings), provenance=origin)
     write_json(written["fit"], fit)
-    write_json(written["diagnosis"], with_origin(diagnosis_document(demo.diagnosis), origin))
+    write_json(written["diagnosis"], structs.replace(DiagnosisDocument.of(demo.diagnosis), provenance=origin))
     write_json(written["validation"], structs.replace(_validation(demo, demo.after), provenance=origin))
     write_text(written["picture"], standalone(validation_picture(validations_of(demo.after)[0])))
     sections = fit_sections(fit, result, benchmark)

@@ -100,7 +100,8 @@ def answer(seed: int, turn: int) -> Answer:
                   tuple(bool(found_at[n][0] <= b <= found_at[n][1]) for n, b in zip(NAMES, beta, strict=True)),
                   100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], beta[:5])),
                   str(fit.trust).split(" the ")[0], found.verdict, tuple(c.effect for c in found.causes),
-                  tuple(there.get(c.effect, False) for c in found.causes), stiffness, found.error or (np.nan, np.nan))
+                  tuple(there.get(c.effect, False) for c in found.causes), stiffness,
+                  found.details.error or (np.nan, np.nan))
 
 
 def share(found: Sequence[bool]) -> str:

@@ -99,7 +99,8 @@ def answer(seed: int, turn: int) -> Answer:
             (size,) = (s for s in cause.size if s.name == "delay")
             delay = (-size.value, -size.ci95[1], -size.ci95[0])
     return Answer(timing, fit.estimate.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
-                  tuple(c.effect for c in found.causes), found.error[0] if found.error else np.nan, delay)
+                  tuple(c.effect for c in found.causes),
+                  found.details.error[0] if found.details.error else np.nan, delay)
 
 
 def share(found: Sequence[bool]) -> str:

@@ -171,8 +171,6 @@ def same_comparison(case: Case, folder: Path) -> None:
 
 def same_diagnosis(case: Case, folder: Path) -> None:
     said = shell(folder, "diagnose", *case.runs, "--rig", case.rig, "--damaged", "--workers", 1, *fixes(case))
-    runs = legid.load(case.runs, case.rig, damaged=True)
-    assert python(folder, legid.diagnose(runs, fixed=dict(case.fixed))) == said
     assert [run["run"] for run in said["set_aside"]] == list(case.aside)
 
 
