@@ -64,7 +64,7 @@ from legid.diagnoses import Diagnosis
 from legid.fits import FitResult
 from legid.found_models import model_of_diagnosis, model_of_fit
 from legid.listings import Tuning
-from legid.results import Dataset, dressed, sources_of
+from legid.results import Dataset, sources_of
 from legid.validations import Validation, Validations
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
@@ -104,7 +104,7 @@ def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, da
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = _stored_rig(paths) if rig is None else _rig(rig)
-    found = tuple(dressed(Dataset, data, rig=known, source=source_of(path))
+    found = tuple(Dataset.of(data, known, source_of(path))
                   for path, data in zip(paths, load_runs(paths, known, damaged), strict=True))
     return found[0] if isinstance(runs, Path | str) else found
 
@@ -334,7 +334,7 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     note = range_note_of(model, found)
     if note:
         warnings.warn(note, stacklevel=2)
-    return dressed(Dataset, found)
+    return Dataset.of(found)
 
 
 def _rig(rig: RigLike) -> Rig:

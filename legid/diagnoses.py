@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from daq import Dataset, Rig, WorkError
 from estimator.diagnosis import Diagnosis as Details
-from experiments.documents import DiagnosisDocument
+from experiments.documents import DiagnosisDocument, finite
 from experiments.judge import Files
 from experiments.provenance import Origin, origin_of
 from experiments.reports import (
@@ -108,7 +108,8 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         rows = [(c, s) for c in self.causes for s in c.size]
         return frame({"effect": [c.effect for c, _ in rows], "joint": [c.joint for c, _ in rows],
                       "size": [s.name for _, s in rows], "value": [s.value for _, s in rows],
-                      "low": [s.ci95[0] for _, s in rows], "high": [s.ci95[1] for _, s in rows],
+                      "low": [finite(s.ci95[0]) for _, s in rows],
+                      "high": [finite(s.ci95[1]) for _, s in rows],
                       "unit": [s.unit for _, s in rows], "p_value": [c.p_value for c, _ in rows]})
 
     def plot(self) -> Figure:

@@ -19,6 +19,7 @@ from experiments.reports import (
     agreement_lines,
     parameter_rows,
     parameter_text,
+    samples_text,
     whole_fit_text,
     write_fit,
 )
@@ -152,6 +153,6 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         notes = [f"This data does not determine {name}." for name in self.undetermined]
         notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
         notes += [f"Warning: {text}" for text in self.warnings]
-        return (paragraphs([str(self.trust), f"{self.model}, {self.method}, sensors {self.sensors}, {self.samples} "
-                            f"samples: {state}."])
+        return (paragraphs([str(self.trust), f"{self.model}, {self.method}, sensors {self.sensors}, "
+                            f"{samples_text(self)}: {state}."])
                 + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))

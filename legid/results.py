@@ -1,16 +1,10 @@
-"""Results of the functions of `legid`: the floors' own results, which here also show themselves.
-
-The estimator prints nothing, draws nothing and knows no file, and its results are arrays that any program may use.
-Showing them is work for whoever sits in a notebook. So each type here is the floor's type of the same name with three
-methods more (`_repr_html_`, `to_frame`, `plot`), and it remembers the rig and the runs that it came from; it goes
-wherever the floor's own is taken, and nothing below this package knows of it.
-"""
+"""`Dataset`: a run that shows itself and remembers its rig and file; it goes wherever the floor's own is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,14 +16,6 @@ from legid.tables import Shown, frame, html_table, paragraphs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-T = TypeVar("T")
-
-
-def dressed(kind: type[T], plain: Any, **more: Any) -> T:
-    """The floor's result `plain` as the type `kind` that is derived from its own."""
-    given = {field.name: getattr(plain, field.name) for field in fields(plain) if field.name not in more}
-    return kind(**given, **more)
 
 
 def sources_of(runs: Sequence[PlainDataset]) -> tuple[Source, ...]:
@@ -45,6 +31,11 @@ class Dataset(Shown, PlainDataset):
     """The rig that it was loaded with; None for a run that was simulated or made by hand."""
     source: Source | None = None
     """The file that it was loaded from."""
+
+    @classmethod
+    def of(cls, data: PlainDataset, rig: Rig | None = None, source: Source | None = None) -> Dataset:
+        """The same run with its rig and file."""
+        return cls(**{one.name: getattr(data, one.name) for one in fields(PlainDataset)}, rig=rig, source=source)
 
     def to_frame(self) -> DataFrame:
         """One row a sample, `time_s` [s] as index, one column a signal. Raises `WorkError` without pandas."""

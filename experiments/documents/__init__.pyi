@@ -13,6 +13,7 @@ from .diagnosis_parts import untestable as untestable
 from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite
+from .document import json_schema as json_schema
 from .document import keys_table as keys_table
 from .document import known as known
 from .fit import FitDocument as FitDocument

@@ -37,7 +37,7 @@ class Rotated(Struct, frozen=True, kw_only=True):
     """One rotation of the split."""
 
     confirm_runs: Annotated[tuple[str, ...], Meta(description="held out")]
-    sizes: Annotated[dict[str, float], Meta(description="fitted to the others, by `effect@joint.size`")]
+    sizes: Annotated[dict[str, Number], Meta(description="fitted to the others, by `effect@joint.size`")]
     falls: Annotated[bool, Meta(description="whether the error falls by `material`")]
 
 

@@ -13,9 +13,9 @@ from estimator.diagnosis import CandidateScore, Diagnosis, SensorGain, ShortRuns
 from estimator.diagnosis import Cause as PlainCause
 from estimator.prediction import Structure as PlainStructure
 from estimator.prediction import where_of
-from experiments.documents.document import Number, known
+from experiments.documents.document import Number, finite, known
 
-Interval = Annotated[tuple[float, float], Meta(description="its 95 % interval")]
+Interval = Annotated[tuple[Number, Number], Meta(description="its 95 % interval")]
 Place = Annotated[int | None, Meta(description="from 1; null for IMU, base, rotor, timing, or an only motor")]
 WHOLE_RIG = frozenset({"rotor_inertia"})
 """Effects that the library places at a joint and the contract does not."""
@@ -57,8 +57,8 @@ class Errors(Struct, frozen=True, kw_only=True):
     """Free-run rms errors of one sensor."""
 
     before: Annotated[Number, Meta(description="of the nominal model; null if diverged")]
-    after: Annotated[float, Meta(description="of the extended one")]
-    floor: Annotated[float, Meta(description="of noise alone")]
+    after: Annotated[Number, Meta(description="of the extended one")]
+    floor: Annotated[Number, Meta(description="of noise alone")]
 
 
 class Pieces(Struct, frozen=True, kw_only=True):
@@ -67,14 +67,14 @@ class Pieces(Struct, frozen=True, kw_only=True):
     horizon_s: Annotated[float, Meta(description="their length [s]")]
     rmse: Annotated[dict[str, Errors], Meta(description="by sensor")]
     gap_closed: Annotated[Number, Meta(description="as that of whole runs")]
-    gap_closed_ci95: Annotated[tuple[float, float] | None, Meta(description="its 95 % interval")]
+    gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")]
 
 
 class Torques(Struct, frozen=True, kw_only=True):
     """Residual torques by joint."""
 
-    before: Annotated[tuple[float, ...], Meta(description="of the nominal model")] = ()
-    after: Annotated[tuple[float, ...], Meta(description="of the extended one")] = ()
+    before: Annotated[tuple[Number, ...], Meta(description="of the nominal model")] = ()
+    after: Annotated[tuple[Number, ...], Meta(description="of the extended one")] = ()
 
 
 class GainOnHeldOut(Struct, frozen=True, kw_only=True):
@@ -86,7 +86,7 @@ class GainOnHeldOut(Struct, frozen=True, kw_only=True):
     torque_rms_nm: Annotated[Torques, Meta(description="residual torque, rms by joint")]
     gap_closed: Annotated[Number, Meta(description="share of the gap to noise alone, of mean squares (texts: rms)")
                           ] = None
-    gap_closed_ci95: Annotated[tuple[float, float] | None, Meta(description="its 95 % interval")] = None
+    gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")] = None
     pieces: Annotated[Pieces | UnsetType, Meta(description="the same of pieces, if needed")] = UNSET
 
 
@@ -143,7 +143,7 @@ class Learnt(Struct, frozen=True, kw_only=True):
     """Torques without a listed cause that repeat in all runs."""
 
     removed: Annotated[float, Meta(description="share of the error on left-out runs")]
-    removed_ci95: Annotated[tuple[float, ...], Meta(description="its 95 % interval; may be empty")]
+    removed_ci95: Annotated[tuple[Number, ...], Meta(description="its 95 % interval; may be empty")]
     where: Annotated[tuple[LearntPlace, ...], Meta(description="the largest first")]
     error: Annotated[tuple[ErrorOver, ...], Meta(description="one entry a sensor and horizon")]
 
@@ -171,7 +171,8 @@ def cause_of(cause: PlainCause) -> NamedCause:
     near = dict.fromkeys(split_key(key)[0] for key in cause.confusable_with)
     return NamedCause(
         effect=cause.effect, joint=contract_joint(cause.effect, cause.joint), meaning=cause.sentence,
-        size=tuple(CauseSize(name=s.name, unit=s.unit, value=s.value, ci95=s.ci95) for s in cause.size),
+        size=tuple(CauseSize(name=s.name, unit=s.unit, value=s.value, ci95=(known(s.ci95[0]), known(s.ci95[1])))
+                   for s in cause.size),
         p_value=cause.p_value, confusable_with=tuple(near))
 
 
@@ -184,13 +185,13 @@ def scored_of(candidate: CandidateScore) -> Scored:
 
 def errors_of(sensors: Mapping[str, SensorGain]) -> dict[str, Errors]:
     """Entries by sensor."""
-    return {column: Errors(before=known(gain.before), after=gain.after, floor=gain.floor)
+    return {column: Errors(before=known(gain.before), after=known(gain.after), floor=known(gain.floor))
             for column, gain in sensors.items()}
 
 
 def gains_of(errors: Mapping[str, Errors]) -> dict[str, SensorGain]:
     """The same as the estimator has them: infinite where the nominal simulation diverges."""
-    return {column: SensorGain(inf if one.before is None else one.before, one.after, one.floor)
+    return {column: SensorGain(inf if one.before is None else one.before, finite(one.after), finite(one.floor))
             for column, one in errors.items()}
 
 

@@ -54,6 +54,12 @@ class Document(Struct, kw_only=True):
         write_json(path, self)
 
 
+def json_schema(kind: type[Struct]) -> dict[str, Any]:
+    """JSON Schema of the document `kind`."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema",
+            **msgspec.json.schema(kind, schema_hook=lambda other: {"description": "any value"})}
+
+
 def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:
     """Key, meaning and the struct below it, if any, of the documented fields of `kind`, in their order."""
     for name, hint in get_type_hints(kind, include_extras=True).items():

@@ -68,7 +68,7 @@ class Part(Struct, frozen=True, kw_only=True):
     """One source of uncertainty of a parameter."""
 
     source: Annotated[str, Meta(description="its name")]
-    std: Annotated[float, Meta(description="standard deviation that it would make alone")]
+    std: Annotated[Number, Meta(description="standard deviation that it would make alone")]
     tolerance: Annotated[tuple[float, ...], Meta(description="1 sigma of each size of an effect, SI")] = ()
 
 
@@ -76,8 +76,8 @@ class BudgetRow(Struct, frozen=True, kw_only=True):
     """The interval of one parameter as the sum of its parts."""
 
     parameter: Annotated[str, Meta(description="its name")]
-    half_width: Annotated[float, Meta(description="half of its 95 % interval")]
-    moved: Annotated[float, Meta(description="how far tolerances moved the estimate")]
+    half_width: Annotated[Number, Meta(description="half of its 95 % interval")]
+    moved: Annotated[Number, Meta(description="how far tolerances moved the estimate")]
     parts: Annotated[tuple[Part, ...], Meta(description="the largest first")]
 
 
@@ -140,8 +140,8 @@ def budget_of(result: FitResult) -> tuple[BudgetRow, ...] | None:
     if budget is None:
         return None
     return tuple(BudgetRow(
-        parameter=p.name, half_width=float(result.half_width[k]), moved=float(budget.moved[k]),
-        parts=tuple(Part(source=part.source, std=float(part.std[k]), tolerance=tuple(part.tolerance))
+        parameter=p.name, half_width=known(result.half_width[k]), moved=known(budget.moved[k]),
+        parts=tuple(Part(source=part.source, std=known(part.std[k]), tolerance=tuple(part.tolerance))
                     for part in sorted(budget.parts, key=lambda part: -part.std[k])))
         for k, p in enumerate(result.mechanism.parameters) if p.name not in unvaried(result))
 

@@ -42,6 +42,7 @@ from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import parameter_rows as parameter_rows
 from .fit_text import parameter_text as parameter_text
+from .fit_text import samples_text as samples_text
 from .fit_text import whole_fit_text as whole_fit_text
 from .html import Picture as Picture
 from .html import Section as Section

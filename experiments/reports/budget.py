@@ -29,9 +29,9 @@ def budget_rows(fit: FitDocument) -> list[list[str]]:
         std = finite(p.std)
         if not std > 0.0:
             continue
-        scale, half = row.half_width / std, row.half_width
-        parts = [f"{source_words(part.source)} {number(scale * part.std, std)}" for part in row.parts
-                 if scale * part.std > LEAST_PART * half]
+        half = finite(row.half_width)
+        alone = [(part.source, half / std * finite(part.std)) for part in row.parts]
+        parts = [f"{source_words(source)} {number(part, std)}" for source, part in alone if part > LEAST_PART * half]
         rows.append([p.name, number(finite(p.value), std), number(half, std), ", ".join(parts[: PARTS_TOLD + 1])])
     return rows
 
@@ -63,7 +63,7 @@ def budget_section(fit: FitDocument) -> list[Section]:
 def _bars(fit: FitDocument) -> str:
     stds = {p.name: finite(p.std) for p in fit.parameters}
     shown = [row for row in fit.budget or () if stds[row.parameter] > 0.0]
-    share = {part.source: np.array([next((one.std / stds[row.parameter] for one in row.parts
+    share = {part.source: np.array([next((finite(one.std) / stds[row.parameter] for one in row.parts
                                           if one.source == part.source), 0.0) ** 2 for row in shown])
              for row in shown for part in row.parts}
     named = sorted((source for source in share if source != "noise"), key=lambda source: -float(share[source].mean()))

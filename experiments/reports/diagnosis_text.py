@@ -7,7 +7,15 @@ from math import inf, isfinite, isinf
 
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate
 from experiments.console import text_table
-from experiments.documents import CauseSize, DiagnosisDocument, NamedCause, contract_joint, split_key, untestable
+from experiments.documents import (
+    CauseSize,
+    DiagnosisDocument,
+    NamedCause,
+    contract_joint,
+    finite,
+    split_key,
+    untestable,
+)
 from experiments.judge import Files, next_step, normal, number, with_names
 from experiments.reports.structure import HEADER as STRUCTURE_HEADER
 from experiments.reports.structure import USE, structure_rows, structure_words
@@ -43,7 +51,7 @@ def size_rows(cause: Cause | NamedCause) -> list[list[str]]:
     sizes: Sequence[SizeEstimate | CauseSize] = cause.size
     for k, s in enumerate(sizes):
         rows.append(["" if k else effect_label(cause.effect, cause.joint), s.name, f"{s.value:.4g}",
-                     f"{s.ci95[0]:.4g} .. {s.ci95[1]:.4g}", s.unit])
+                     f"{finite(s.ci95[0]):.4g} .. {finite(s.ci95[1]):.4g}", s.unit])
     return rows
 
 
@@ -100,7 +108,8 @@ def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
 def gap_text(found: Diagnosis | DiagnosisDocument) -> str:
     """The share of the gap that free runs of whole runs show closed; empty where there is none."""
     ci95 = found.gain.gap_closed_ci95 if isinstance(found, DiagnosisDocument) else found.gap_closed_ci95
-    return share_text(found.sensors, found.gap_closed, ci95)
+    known = None if ci95 is None else (finite(ci95[0]), finite(ci95[1]))
+    return share_text(found.sensors, found.gap_closed, known)
 
 
 def share_text(sensors: Mapping[str, SensorGain], closed: float | None, ci95: tuple[float, float] | None) -> str:

@@ -26,7 +26,14 @@ from experiments.provenance import origin_of
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
-from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
+from experiments.reports.fit_text import (
+    PARAMETER_HEADER,
+    VOLTS,
+    noise_rows,
+    parameter_rows,
+    run_noise_lines,
+    samples_text,
+)
 from experiments.reports.html import Picture, Section, Table, fold, trust_box, write_page
 from experiments.reports.origin import origin_section
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
@@ -52,7 +59,7 @@ def fit_summary(fit: FitDocument) -> str:
     if fit.force_unit == "V":
         ending += f" {VOLTS}"
     prior = f"{prior_sentence(fit)} " if fit.prior else ""
-    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {fit.samples} samples. "
+    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}. "
             f"{ending}")
 
 

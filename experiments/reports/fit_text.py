@@ -104,10 +104,15 @@ def parameter_text(fit: FitDocument) -> str:
     return text_table(PARAMETER_HEADER, parameter_rows(fit), right={1, 2, 3})
 
 
+def samples_text(fit: FitDocument) -> str:
+    """Number of samples used, as text, page and notebook have it."""
+    return f"{fit.samples} samples"
+
+
 def fit_text(fit: FitDocument) -> str:
     """Text after a fit, below its first lines."""
     lines = [*([prior_sentence(fit), ""] if fit.prior else []),
-             f"{fit.model}, {fit.method}, sensors {fit.sensors}: {fit.samples} samples, "
+             f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
              f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
              + ("converged" if fit.converged else "NOT CONVERGED"), "",
              parameter_text(fit), ""]

@@ -92,7 +92,7 @@ def answer(seed: int, turn: int) -> Answer:
     there = {name: any(abs(faults.get(key, zero)) > FAULTY * FAULTS.get(key, ZERO_RAD) for key in keys.split())
              for name, keys in EFFECTS.items()}
     there |= {"sensor_time_skew": cutoff_hz > 0.0, "joint_stiffness": spring > 0.0}
-    stiffness = next((s.ci95 for c in found.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
+    stiffness = next((s.ci95 for c in found.details.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
                       for s in c.size if s.name == "stiffness"), None)
     found_at = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))
     values, beta = dict(zip(fit.mechanism.names, fit.beta, strict=True)), leg.beta()

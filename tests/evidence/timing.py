@@ -94,7 +94,7 @@ def answer(seed: int, turn: int) -> Answer:
                        for name, b in zip(NAMES, leg.beta(), strict=True))
         found = legid.diagnose(runs, rig)
     delay = None
-    for cause in found.causes:
+    for cause in found.details.causes:
         if cause.effect == "torque_delay":
             (size,) = (s for s in cause.size if s.name == "delay")
             delay = (-size.value, -size.ci95[1], -size.ci95[0])

@@ -13,7 +13,6 @@ import legid
 from daq.rig import parse_rig
 from estimator import Combination
 from experiments.models import mechanism_settings
-from legid.results import dressed
 from tests.support.fits import synthetic_fit
 
 TOML = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -76,7 +75,7 @@ def test_without_pandas_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_runs_without_a_rig_or_of_two_rigs_are_refused() -> None:
     bare = legid.Dataset("bare", 100.0, np.arange(5.0), {})
-    other = dressed(legid.Dataset, two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
+    other = replace(two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
     with pytest.raises(legid.InputError, match="bare: was not loaded with a rig"):
         legid.fit(bare)
     with pytest.raises(legid.InputError, match=r"run2\.csv: was loaded with another rig than run1\.csv"):
