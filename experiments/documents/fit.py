@@ -151,6 +151,7 @@ class FitDocument(Document, kw_only=True):
     iterations: Annotated[int, Meta(description="of the fit")]
     samples: Annotated[int, Meta(description="used")]
     wall_s: Annotated[Number, Meta(description="time that the fit took [s]")]
+    recorded: Annotated[int, Meta(description="samples of the runs, gaps among them; 0: not told")] = 0
     undetermined: Annotated[tuple[str, ...], Meta(description="combinations; their parameters have null for numbers")
                             ] = ()
     hold: Annotated[Hold | None, Meta(description="of the torque between samples")] = None
@@ -202,6 +203,7 @@ class FitDocument(Document, kw_only=True):
                 runs=noise.runs, levels={name: tuple(map(float, own)) for name, own in noise.levels.items()}),
             torque_residual_rms_nm=tuple(map(known, result.torque_residual_rms)), converged=bool(result.converged),
             iterations=int(result.iterations), samples=int(result.samples), wall_s=float(result.wall_s),
+            recorded=sum(map(len, runs)),
             undetermined=tuple(map(str, result.undetermined)),
             hold=Hold(name=result.hold, chosen=result.hold_margin is not None,
                       margin=None if result.hold_margin is None else known(result.hold_margin)),

@@ -106,7 +106,7 @@ def parameter_text(fit: FitDocument) -> str:
 
 def samples_text(fit: FitDocument) -> str:
     """Number of samples used, as text, page and notebook have it."""
-    return f"{fit.samples} samples"
+    return f"{fit.samples} of {fit.recorded} samples" if fit.recorded > fit.samples else f"{fit.samples} samples"
 
 
 def fit_text(fit: FitDocument) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import legid
+from experiments.reports import fit_summary, fit_text
 from tests.support.fits import document_of, synthetic_fit
 
 FIRST: dict[str, Any] = {
@@ -96,3 +97,12 @@ def test_a_joint_s_level_keeps_its_number() -> None:
     assert plain.driven == (2,) and plain.levels == {"gyro_radps": 0.005, "accel_mps2": 0.05}
     plain.noise, plain.driven = {"torque_nm": 0.2, "torque_nm_by_joint": (0.1, 0.2)}, (2, 3)
     assert plain.levels == {"torque_nm": 0.2, "torque2_nm": 0.1, "torque3_nm": 0.2}
+
+
+def test_samples_that_the_fit_left_out_are_told() -> None:
+    fit = document_of(synthetic_fit())
+    assert " 1500 samples," in fit_text(fit) and fit.recorded == 0
+    fit.recorded = 1600
+    assert " 1500 of 1600 samples," in fit_text(fit) and " 1500 of 1600 samples." in fit_summary(fit)
+    fit.recorded = 1500
+    assert " 1500 samples," in fit_text(fit)
