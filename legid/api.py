@@ -9,7 +9,8 @@
 A `rig` is the path of a rig.toml or the `Rig` that `load_rig` makes of it; left out, it is the one that the runs were
 loaded with, and for a native run the one that is stored in its file. Runs are `Dataset` objects: columns of
 contract names in SI units on one uniform grid, NaN where a sample is missing. Every function that takes runs also takes
-a single run. Nothing is printed but a progress bar on a terminal. Unusable input raises `InputError`; what cannot be
+a single run. What reads and writes recordings is imported by the functions that need it: a fit of a CSV does not wait
+for it. Nothing is printed but a progress bar on a terminal. Unusable input raises `InputError`; what cannot be
 done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 """
 
@@ -19,15 +20,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
 from daq import Dataset as PlainDataset
 from daq import InputError, Rig, WorkError, load_rig
-from daq.recording import Plan, RecordReport, read_plan, write_plan
-from daq.runs import read_run
-from daq.timing import recorded_rig
+from daq.recording import Plan, read_plan, write_plan
 from drivers import DriverError
 from estimator import FitError, Method
 from estimator import FitResult as PlainFit
@@ -40,7 +39,6 @@ from experiments.reports import REFERENCE_NAMES, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
 from experiments.workflows import (
-    Asked,
     as_reference,
     compare_models,
     diagnose_prepared,
@@ -48,14 +46,11 @@ from experiments.workflows import (
     find_change_since,
     find_difference,
     fit_runs,
-    investigate_rig,
-    record_plan,
     reference_values,
     simulate_run,
     tune_runs,
     validate_in_mujoco,
     validate_prepared,
-    watcher_of,
     with_reference_terms,
 )
 from legid.changes import Change, Investigation, Watching
@@ -66,6 +61,9 @@ from legid.found_models import model_of_diagnosis, model_of_fit
 from legid.listings import Tuning
 from legid.results import Dataset, sources_of
 from legid.validations import Validation, Validations
+
+if TYPE_CHECKING:
+    from daq.recording import RecordReport
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
            "Investigation", "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "Watching",
@@ -277,6 +275,8 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
     total) in seconds. Ctrl-C stops the motor. Raises `InputError` for a plan beyond the limits, `WorkError` naming the
     limit that ended the run (what was recorded is kept), a `DriverError` for a device.
     """
+    from experiments.workflows import record_plan
+
     report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
     return Recording(load(out, rig), report, tuple(warnings))
 
@@ -288,6 +288,8 @@ def watch(runs: Runs, against: Runs | Model, rig: RigLike | None = None, false_a
     threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run after an alarm on a
     line says what changed. Raises `InputError`, and `FitError` where the reference runs give no reference.
     """
+    from experiments.workflows import watcher_of
+
     if not 0.0 < false_alarms <= 60.0:
         raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
     given, known = _given(runs, rig)
@@ -310,6 +312,8 @@ def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emul
     instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
     called with (stage, share done). Raises `InputError`, and `WorkError` or a `DriverError` where nothing was recorded.
     """
+    from experiments.workflows import Asked, investigate_rig
+
     known, source = load_rig(rig), source_of(rig)
 
     def confirm(what: str) -> bool:
@@ -358,6 +362,9 @@ def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:
 
 def _stored_rig(paths: Sequence[Path | str]) -> Rig:
     """The rig inside the first native run."""
+    from daq.runs import read_run
+    from daq.timing import recorded_rig
+
     for path in paths:
         if str(path).lower().endswith(".mcap"):
             return recorded_rig(read_run(path))
