@@ -27,14 +27,14 @@ from .changes import Change as Change
 from .changes import Investigation as Investigation
 from .changes import Watching as Watching
 from .comparisons import Comparison as Comparison
+from .diagnoses import Diagnosis as Diagnosis
+from .fits import FitResult as FitResult
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation
 from .listings import Gains as Gains
 from .listings import Guess as Guess
 from .listings import Tuning as Tuning
 from .results import Dataset as Dataset
-from .results import Diagnosis as Diagnosis
-from .results import FitResult as FitResult
 from .tools import effects as effects
 from .tools import excite as excite
 from .tools import export as export

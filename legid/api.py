@@ -9,7 +9,8 @@
 A `rig` is the path of a rig.toml or the `Rig` that `load_rig` makes of it; left out, it is the one that the runs were
 loaded with, and for a native run the one that is stored in its file. Runs are `Dataset` objects: columns of
 contract names in SI units on one uniform grid, NaN where a sample is missing. Every function that takes runs also takes
-a single run. Nothing is printed but a progress bar on a terminal. Unusable input raises `InputError`; what cannot be
+a single run. What reads and writes recordings is imported by the functions that need it: a fit of a CSV does not wait
+for it. Nothing is printed but a progress bar on a terminal. Unusable input raises `InputError`; what cannot be
 done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 """
 
@@ -19,15 +20,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
 from daq import Dataset as PlainDataset
 from daq import InputError, Rig, WorkError, load_rig
-from daq.recording import Plan, RecordReport, read_plan, write_plan
-from daq.runs import read_run
-from daq.timing import recorded_rig
+from daq.recording import Plan, read_plan, write_plan
 from drivers import DriverError
 from estimator import FitError, Method
 from estimator import FitResult as PlainFit
@@ -35,13 +34,11 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
-from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.reports import REFERENCE_NAMES, model_with_origin, origin_from, source_of
+from experiments.reports import REFERENCE_NAMES, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
 from experiments.workflows import (
-    Asked,
     as_reference,
     compare_models,
     diagnose_prepared,
@@ -49,21 +46,24 @@ from experiments.workflows import (
     find_change_since,
     find_difference,
     fit_runs,
-    investigate_rig,
-    record_plan,
     reference_values,
     simulate_run,
     tune_runs,
     validate_in_mujoco,
     validate_prepared,
-    watcher_of,
     with_reference_terms,
 )
 from legid.changes import Change, Investigation, Watching
 from legid.comparisons import Comparison
+from legid.diagnoses import Diagnosis
+from legid.fits import FitResult
+from legid.found_models import model_of_diagnosis, model_of_fit
 from legid.listings import Tuning
-from legid.results import Dataset, Diagnosis, FitResult, dressed, sources_of
+from legid.results import Dataset, sources_of
 from legid.validations import Validation, Validations
+
+if TYPE_CHECKING:
+    from daq.recording import RecordReport
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
            "Investigation", "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "Watching",
@@ -102,7 +102,7 @@ def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, da
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = _stored_rig(paths) if rig is None else _rig(rig)
-    found = tuple(dressed(Dataset, data, rig=known, source=source_of(path))
+    found = tuple(Dataset.of(data, known, source_of(path))
                   for path, data in zip(paths, load_runs(paths, known, damaged), strict=True))
     return found[0] if isinstance(runs, Path | str) else found
 
@@ -118,15 +118,17 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
       IEEE TCST 26(4), 2018), rls, hekf (its appendices). `latent="free"`: the paper's maximum likelihood, section IV.
     - `sensors`: imu or encoder, the source of the pivot's angle; None takes the IMU where all runs have it.
     - `fixed`: given parameters by name.
-    - Result: `beta` (p,) in the order of `mechanism.parameters`, which have the units (kg m^2, kg m, N m s/rad, N m);
-      `covariance` (p, p), `ci95()` (p, 2), `noise`, the estimated motion, `to_frame()`, `plot()`.
+
+    The result is the document `legid.fit/1` (docs/formats.md): `trust`, `parameters`, `noise`, and so on. It also has
+    `beta` (p,) in the order of `mechanism.parameters`, which have the units (kg m^2, kg m, N m s/rad, N m), `ci95()`
+    (p, 2), `covariance` (p, p), the estimated motion (`trajectories`), `to_frame()` and `plot()`.
 
     Check `converged` and `undetermined`; `model` refuses an unusable result. Raises `InputError`, or `FitError` where
     the data cannot answer.
     """
     given, known = _given(runs, rig)
     found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
-    return dressed(FitResult, found.result, runs=given, rig=found.rig, fitted=found)
+    return FitResult.made_from(found, given, origin_from(sources_of(given)))
 
 
 def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
@@ -158,13 +160,13 @@ def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, 
 
 
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int = 1, material: float = MATERIAL,
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int | None = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
 def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model) -> Change: ...
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int = 1,
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int | None = 1,
              material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
              against: Runs | Model | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
@@ -173,12 +175,13 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
 
     - `material`: smallest relative reduction of the free-run rms error that counts.
     - `seed`: of bootstrap replicates and intervals. `reference`: an earlier model whose parameters are compared.
-    - `progress` is called with (stage, fraction done). `workers` are forked processes: use one in a program with
-      threads.
+    - `progress` is called with (stage, fraction done). `workers` are forked processes, None: one a core. Use one in
+      a program with threads.
     - `fixed`: given parameters by name; runs without a torque need one.
 
-    The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
-    and 95 % intervals. Raises `InputError` for runs that do not belong together.
+    The result is the document `legid.diagnosis/1` (docs/formats.md). Its `verdict` is none, named, partial, one_of,
+    unexplained or fit_failed; `causes` have sizes with units and 95 % intervals. Raises `InputError` for runs that do
+    not belong together.
 
     With earlier runs of the rig `against` which these are held, or a model that a diagnosis of them gave, it is a
     `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part in it.
@@ -191,10 +194,11 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
         earlier = (against,) if isinstance(against, PlainDataset) else tuple(against)
         return Change(find_change(given, earlier, known), REFERENCE_NAMES,
                       sources=(sources_of(earlier), sources_of(given)))
-    prepared = prepare(given, with_reference_terms(known, reference), fixed=fixed)
-    values = None if reference is None else reference_values(reference, "reference", prepared.setup)
+    before, where = (None, "") if reference is None else _model(reference, "reference")
+    prepared = prepare(given, with_reference_terms(known, before), fixed=fixed)
+    values = None if before is None else reference_values(before, where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
-    return dressed(Diagnosis, found, fitted=given, rig=known, prepared=prepared)
+    return Diagnosis.made_from(found, prepared, given, known, origin_from(sources_of(given)))
 
 
 @overload
@@ -242,31 +246,24 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     return Tuning(found, tuple(map(source_of, paths)))
 
 
-def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
-          ) -> Model:
+def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs | None = None,
+          rig: RigLike | None = None) -> Model:
     """A fit, or a diagnosis with its effects, as the model that `validate`, `simulate` and `save_model` take.
 
-    `runs` and `rig` are those it was made from; a result of `fit` or `diagnose` remembers them. Raises `WorkError` for
-    a fit that did not converge or left parameters undetermined, and for a diagnosis that failed.
+    `runs` and `rig` are those that the estimator's own result was made from; a result of `fit` or `diagnose` remembers
+    them. Raises `WorkError` for a fit that did not converge or left parameters undetermined, and for a diagnosis that
+    failed.
     """
-    if runs is None:
-        runs = found.fitted if isinstance(found, Diagnosis) else found.runs if isinstance(found, FitResult) else ()
-    given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis | FitResult) else None))
-    setup = found.prepared.setup if isinstance(found, Diagnosis) and found.prepared is not None else \
-        found.fitted.setup if isinstance(found, FitResult) and found.fitted is not None else prepare(given, known).setup
-    sources = sources_of(given)
-    if isinstance(found, PlainDiagnosis):
-        if found.verdict == "fit_failed":
-            raise WorkError(found.sentence)
-        made = diagnosed_model(found, setup, known.motor.gear_ratio)
-        if isinstance(found, Diagnosis) and found.prepared is not None:
-            made = as_reference(made, found.prepared)
-    else:
-        check_sound(found, for_model=True)
-        made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])
-    if len(sources) < len(given):  # runs made by hand have no file to be named
-        return made
-    return model_with_origin(made, origin_from(sources), setup.datasets)
+    if isinstance(found, FitResult):
+        return model_of_fit(found.estimate, found.fitted.setup, found.runs, found.provenance or None)
+    if isinstance(found, Diagnosis):
+        made = model_of_diagnosis(found.details, found.prepared.setup, found.rig, found.fitted,
+                                  found.provenance or None)
+        return as_reference(made, found.prepared)
+    given, known = _given(() if runs is None else runs, rig)
+    setup = prepare(given, known).setup
+    return model_of_fit(found, setup, given) if isinstance(found, PlainFit) else \
+        model_of_diagnosis(found, setup, known, given)
 
 
 def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
@@ -278,6 +275,8 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
     total) in seconds. Ctrl-C stops the motor. Raises `InputError` for a plan beyond the limits, `WorkError` naming the
     limit that ended the run (what was recorded is kept), a `DriverError` for a device.
     """
+    from experiments.workflows import record_plan
+
     report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
     return Recording(load(out, rig), report, tuple(warnings))
 
@@ -289,6 +288,8 @@ def watch(runs: Runs, against: Runs | Model, rig: RigLike | None = None, false_a
     threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run after an alarm on a
     line says what changed. Raises `InputError`, and `FitError` where the reference runs give no reference.
     """
+    from experiments.workflows import watcher_of
+
     if not 0.0 < false_alarms <= 60.0:
         raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
     given, known = _given(runs, rig)
@@ -311,6 +312,8 @@ def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emul
     instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
     called with (stage, share done). Raises `InputError`, and `WorkError` or a `DriverError` where nothing was recorded.
     """
+    from experiments.workflows import Asked, investigate_rig
+
     known, source = load_rig(rig), source_of(rig)
 
     def confirm(what: str) -> bool:
@@ -335,7 +338,7 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     note = range_note_of(model, found)
     if note:
         warnings.warn(note, stacklevel=2)
-    return dressed(Dataset, found)
+    return Dataset.of(found)
 
 
 def _rig(rig: RigLike) -> Rig:
@@ -359,6 +362,9 @@ def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:
 
 def _stored_rig(paths: Sequence[Path | str]) -> Rig:
     """The rig inside the first native run."""
+    from daq.runs import read_run
+    from daq.timing import recorded_rig
+
     for path in paths:
         if str(path).lower().endswith(".mcap"):
             return recorded_rig(read_run(path))

@@ -1,56 +1,21 @@
-"""Results of the functions of `legid`: the floors' own results, which here also show themselves.
-
-The estimator prints nothing, draws nothing and knows no file, and its results are arrays that any program may use.
-Showing them is work for whoever sits in a notebook. So each type here is the floor's type of the same name with three
-methods more (`_repr_html_`, `to_frame`, `plot`), and it remembers the rig and the runs that it came from; it goes
-wherever the floor's own is taken, and nothing below this package knows of it.
-"""
+"""`Dataset`: a run that shows itself and remembers its rig and file; it goes wherever the floor's own is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq import Dataset as PlainDataset
-from daq import Rig, WorkError
-from estimator import FitResult as PlainFit
-from estimator.diagnosis import Diagnosis as PlainDiagnosis
-from experiments.judge import fit_trust
-from experiments.reports import (
-    PARAMETER_HEADER,
-    Source,
-    agreement_lines,
-    diagnosis_document,
-    error_rows,
-    gap_text,
-    origin_from,
-    parameter_rows,
-    parameter_text,
-    short_diagnosis_text,
-    size_rows,
-    write_diagnosis,
-    write_document,
-    write_fit,
-)
-from experiments.session import Prepared, damaged_runs
-from experiments.workflows import Fitted
+from daq import Rig
+from experiments.reports import Source
 from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-T = TypeVar("T")
-
-
-def dressed(kind: type[T], plain: Any, **more: Any) -> T:
-    """The floor's result `plain` as the type `kind` that is derived from its own."""
-    given = {field.name: getattr(plain, field.name) for field in fields(plain) if field.name not in more}
-    return kind(**given, **more)
 
 
 def sources_of(runs: Sequence[PlainDataset]) -> tuple[Source, ...]:
@@ -66,6 +31,11 @@ class Dataset(Shown, PlainDataset):
     """The rig that it was loaded with; None for a run that was simulated or made by hand."""
     source: Source | None = None
     """The file that it was loaded from."""
+
+    @classmethod
+    def of(cls, data: PlainDataset, rig: Rig | None = None, source: Source | None = None) -> Dataset:
+        """The same run with its rig and file."""
+        return cls(**{one.name: getattr(data, one.name) for one in fields(PlainDataset)}, rig=rig, source=source)
 
     def to_frame(self) -> DataFrame:
         """One row a sample, `time_s` [s] as index, one column a signal. Raises `WorkError` without pandas."""
@@ -90,144 +60,3 @@ class Dataset(Shown, PlainDataset):
         seconds = len(self) / self.rate_hz
         return (paragraphs([f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {seconds:.1f} s"])
                 + html_table(["column", "smallest", "mean", "largest", "missing"], rows))
-
-
-@dataclass(frozen=True, repr=False)
-class FitResult(Shown, PlainFit):
-    """Identified parameters with their covariance, noise levels and the motion that they came with."""
-
-    runs: tuple[PlainDataset, ...] = ()
-    """What was given to be fitted."""
-    rig: Rig | None = None
-    fitted: Fitted | None = None
-    """The runs used, those set aside, the entries of the rig that were chosen."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.fit/1`, as `legid fit --json` writes it. Raises `WorkError` for a result that `fit` did not give."""
-        if self.fitted is None:
-            raise WorkError("only a result of legid.fit has a document")
-        return {**self.fitted.document, "damaged": damaged_runs(self.fitted.setup.datasets)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, sources_of(self.runs))
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid fit --html`. Raises `InputError`, and `WorkError` for a result that `fit` did not
-        give."""
-        if self.fitted is None:
-            raise WorkError("only a result of legid.fit has a page")
-        setup = self.fitted.setup
-        write_fit(path, self, setup.settings.model, setup.datasets, origin_from(sources_of(self.runs)))
-
-    @property
-    def trust(self) -> str:
-        """Whether the parameters can be trusted, and for what: the first line of `legid fit`."""
-        return fit_trust(self).sentence
-
-    def to_frame(self) -> DataFrame:
-        """One row a parameter: value, std, low and high of its 95 % interval, unit, meaning, whether it was given.
-
-        What the data does not determine is NaN. Raises `WorkError` without pandas.
-        """
-        parameters = self.mechanism.parameters
-        open_ = np.array([p.name in self.open_parameters for p in parameters])
-        numbers = np.where(open_[:, None], np.nan, np.column_stack([self.beta, self.std, self.ci95()]))
-        return frame({"parameter": [p.name for p in parameters],
-                      **dict(zip(("value", "std", "low", "high"), numbers.T)),
-                      "unit": [p.unit for p in parameters], "meaning": [p.meaning for p in parameters],
-                      "fixed": [p.name in self.fixed for p in parameters]}, "parameter")
-
-    def plot(self) -> Figure:
-        """Sensors measured and as estimated, torques measured and modelled, over the first seconds.
-
-        Raises `WorkError` for a fit by a method that estimates no motion.
-        """
-        from legid.figures import fit_figure
-
-        if not self.trajectories:
-            raise WorkError(f"a fit by {self.method} has no motion to draw; use method=\"mle\"")
-        return fit_figure(self)
-
-    def __str__(self) -> str:
-        return f"{self.trust}\n\n{parameter_text(self)}"
-
-    def _repr_html_(self) -> str:
-        state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
-        notes = [f"This data does not determine {name}." for name in self.undetermined]
-        notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
-        notes += [f"Warning: {text}" for text in self.warnings]
-        return (paragraphs([self.trust, f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} "
-                            f"samples: {state}."])
-                + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
-
-
-@dataclass(frozen=True, repr=False)
-class Diagnosis(Shown, PlainDiagnosis):
-    """Errors of the simulation, their causes, and the gain of extending the model."""
-
-    fitted: tuple[PlainDataset, ...] = ()
-    """The runs that it was made from, in their order."""
-    rig: Rig | None = None
-    prepared: Prepared | None = None
-    """The runs used and those set aside."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.diagnosis/1`, as `legid diagnose --json` writes it."""
-        aside, used = ((), ()) if self.prepared is None else (self.prepared.set_aside, self.prepared.setup.datasets)
-        return {**diagnosis_document(self, aside, used), "damaged": damaged_runs(used)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, sources_of(self.fitted))
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid diagnose --html`. Raises `InputError`, and `WorkError` for a result that `diagnose`
-        did not give."""
-        if self.prepared is None:
-            raise WorkError("only a result of legid.diagnose has a page")
-        write_diagnosis(path, self, self.prepared, origin_from(sources_of(self.fitted)))
-
-    def to_frame(self, what: str = "causes") -> DataFrame:
-        """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.
-
-        Raises `ValueError` for any other `what`, `WorkError` without pandas.
-        """
-        if what == "candidates":
-            names = ("effect", "joint", "score", "p_value", "size", "smallest_detectable", "unit")
-            return frame({name: [getattr(c, name) for c in self.candidates] for name in names})
-        if what != "causes":
-            raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
-        rows = [(c, s) for c in self.causes for s in c.size]
-        return frame({"effect": [c.effect for c, _ in rows], "joint": [c.joint for c, _ in rows],
-                      "size": [s.name for _, s in rows], "value": [s.value for _, s in rows],
-                      "low": [s.ci95[0] for _, s in rows], "high": [s.ci95[1] for _, s in rows],
-                      "unit": [s.unit for _, s in rows], "p_value": [c.p_value for c, _ in rows]})
-
-    def plot(self) -> Figure:
-        """Free-run errors before and after; below, the residual of each cause over its natural variable.
-
-        Raises `WorkError` for a diagnosis that failed.
-        """
-        from legid.figures import diagnosis_figure
-
-        if self.verdict == "fit_failed":
-            raise WorkError(self.sentence)
-        return diagnosis_figure(self)
-
-    def __str__(self) -> str:
-        return short_diagnosis_text(self)
-
-    def _repr_html_(self) -> str:
-        parts = [paragraphs([f"{self.verdict}: {self.sentence}"])]
-        if self.causes:
-            rows = [row for cause in self.causes for row in size_rows(cause)]
-            parts.append(html_table(["effect", "size", "value", "95 % interval", "unit"], rows))
-        if self.sensors:
-            parts.append(html_table(["free-run error (rms)", "nominal", "extended", "noise alone"],
-                                    error_rows(self.sensors)))
-        parts.append(paragraphs([text for text in (gap_text(self), *(f"Warning: {w}" for w in self.warnings),
-                                                   self.next_experiment) if text]))
-        return "".join(parts)

@@ -29,7 +29,7 @@ from experiments.models import Model, Tolerances, gains_of
 from experiments.session import prepare, require_whole
 from experiments.workflows import OF_MODELS, OF_RUNS, Wanted, check_wanted, export_kind, export_model_as
 from legid.listings import Effects, Excitation, Gains, Guess
-from legid.results import Dataset, dressed
+from legid.results import Dataset
 
 __all__ = ["effects", "excite", "export", "gains", "guess", "read"]
 RigLike = Rig | Path | str
@@ -105,7 +105,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[s
         known = load_map(columns)
     require_scales(known, "columns")
     run = apply_map(read_imported(file), known, rate_hz)
-    return dressed(Dataset, run, rig=None if rig is None else _rig(rig))
+    return Dataset.of(run, None if rig is None else _rig(rig))
 
 
 def gains(model: Model, angle_rad: float = 0.05, speed_radps: float = 1.0, torque_nm: float = 1.0,

@@ -23,7 +23,7 @@ from estimator.diagnosis import Diagnosis
 from estimator.prediction import Validation, validations_of
 from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
-from experiments.reports import pieces, rmse
+from experiments.documents import errors_of, pieces_of
 from experiments.session import Setup, load_runs, prepare
 from experiments.workflows import diagnose_prepared, fit_runs, model_of_fit, predict_setup
 
@@ -324,7 +324,8 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
     if d.found is not None:
         entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
                   "causes": [c.effect for c in d.found.causes],
-                  "free_run_rmse": rmse(d.found.sensors), **pieces(d.found.short),
+                  "free_run_rmse": errors_of(d.found.sensors),
+                  **({} if d.found.short is None else {"pieces": pieces_of(d.found.short)}),
                   "gap_closed": d.found.gap_closed, "gap_closed_ci95": d.found.gap_closed_ci95,
                   "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
                             for c in d.found.causes},

@@ -13,10 +13,11 @@ from estimator.diagnosis.result import (
     SensorGain,
     ShortRuns,
     Signature,
+    SizeEstimate,
     Trace,
 )
 
 __all__ = [
     "MATERIAL", "BudgetRow", "CandidateScore", "Cause", "Diagnosis", "Remainder", "Rotation", "SensorGain", "ShortRuns",
-    "Signature", "Trace", "diagnose", "with_law",
+    "Signature", "SizeEstimate", "Trace", "diagnose", "with_law",
 ]

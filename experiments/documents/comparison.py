@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from msgspec import UNSET, Meta, Struct
 
 from daq import Dataset
-from experiments.documents.document import Damaged, Document, From, Number
+from experiments.documents.document import Damaged, Document, From, Number, known
 from experiments.judge import Comparison, Estimate, HorizonError, Trust, comparison_trust
 from experiments.session import SetAside, damaged_runs
 
@@ -74,15 +74,11 @@ class ComparisonDocument(Document, kw_only=True):
 
 
 def _value(one: Estimate | None) -> Value | None:
-    return None if one is None else Value(value=one.value, std=_known(one.std),
-                                          ci95=(_known(one.low), _known(one.high)))
+    return None if one is None else Value(value=one.value, std=known(one.std),
+                                          ci95=(known(one.low), known(one.high)))
 
 
 def _errors(e: HorizonError) -> ErrorPair:
     ratio = e.b / e.a if math.isfinite(e.a + e.b) and e.a > 0.0 else None
-    return ErrorPair(horizon_s=_known(e.horizon_s), column=e.column, a=_known(e.a), b=_known(e.b), ratio=ratio,
+    return ErrorPair(horizon_s=known(e.horizon_s), column=e.column, a=known(e.a), b=known(e.b), ratio=ratio,
                      ratio_ci95=e.ci95, better=e.better or None)
-
-
-def _known(value: float) -> Number:
-    return value if math.isfinite(value) else None

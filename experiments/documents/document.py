@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Self, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Self, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct, UnsetType
@@ -19,6 +20,11 @@ Number = float | None
 
 Damaged = Annotated[tuple[dict[str, str], ...], Meta(description="damaged runs: `run` and `what` is missing")]
 From = Annotated[Origin | UnsetType, Meta(description="[its files](#provenance)")]
+
+
+def known(value: float) -> Number:
+    """The number, None for what is not finite."""
+    return float(value) if math.isfinite(value) else None
 
 
 def finite(value: Number) -> float:
@@ -37,9 +43,21 @@ class Document(Struct, kw_only=True):
         except msgspec.MsgspecError as error:
             raise InputError(str(path), f"is no such document: {error}", "give one that legid has written") from None
 
+    @property
+    def document(self) -> dict[str, Any]:
+        """The JSON as a dictionary."""
+        found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(self))
+        return found
+
     def to_json(self, path: Path | str) -> None:
         """Write the document. Raises `InputError` where that place cannot be written."""
         write_json(path, self)
+
+
+def json_schema(kind: type[Struct]) -> dict[str, Any]:
+    """JSON Schema of the document `kind`."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema",
+            **msgspec.json.schema(kind, schema_hook=lambda other: {"description": "any value"})}
 
 
 def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:
@@ -60,10 +78,10 @@ def _structs(hint: object) -> Iterator[type[Struct]]:
 
 
 def keys_table(kind: type[Struct]) -> str:
-    """Markdown table of the keys of `kind`; keys of structs below stand in their own rows, `runs.rmse`."""
+    """Markdown table of the keys of `kind` for a page in docs/; keys of structs below have rows, `runs.rmse`."""
     def rows(one: type[Struct], before: str) -> Iterator[str]:
         for key, meaning, below in described(one):
-            yield f"| `{before}{key}` | {meaning} |"
+            yield f"| `{before}{key}` | {meaning.replace('](docs/', '](')} |"
             if below is not None:
                 yield from rows(below, f"{before}{key}.")
 

@@ -21,10 +21,12 @@ from .found_model import check_sound as check_sound
 from .found_model import diagnosed_model as diagnosed_model
 from .found_model import faults_of as faults_of
 from .found_model import model_of as model_of
+from .friction_form import friction_shares as friction_shares
 from .investigation import Ending as Ending
 from .investigation import Experiment as Experiment
 from .investigation import Investigation as Investigation
 from .investigation import Step as Step
+from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files
 from .next_steps import next_step as next_step
 from .next_steps import with_names as with_names

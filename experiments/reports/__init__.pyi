@@ -15,9 +15,6 @@ from .diagnosis_figures import error_bars as error_bars
 from .diagnosis_figures import signature_limits as signature_limits
 from .diagnosis_figures import signature_plot as signature_plot
 from .diagnosis_figures import trace_plot as trace_plot
-from .diagnosis_json import diagnosis_document as diagnosis_document
-from .diagnosis_json import pieces as pieces
-from .diagnosis_json import rmse as rmse
 from .diagnosis_page import diagnosis_sections as diagnosis_sections
 from .diagnosis_page import short_tables as short_tables
 from .diagnosis_page import verdict_box as verdict_box
@@ -37,7 +34,6 @@ from .figures import picture_lines as picture_lines
 from .figures import plot_lines as plot_lines
 from .figures import standalone as standalone
 from .figures import window as window
-from .fit_json import fit_document as fit_document
 from .fit_page import fit_sections as fit_sections
 from .fit_page import fit_summary as fit_summary
 from .fit_page import truth_section as truth_section
@@ -46,6 +42,8 @@ from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import parameter_rows as parameter_rows
 from .fit_text import parameter_text as parameter_text
+from .fit_text import samples_text as samples_text
+from .fit_text import whole_fit_text as whole_fit_text
 from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table

@@ -13,6 +13,7 @@ from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
 from estimator.signals import angle_column
+from experiments.documents import untestable
 from experiments.judge import Files, Level, next_step, with_names
 from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import (
@@ -26,7 +27,6 @@ from experiments.reports.diagnosis_figures import (
     trace_plot,
     waterfall,
 )
-from experiments.reports.diagnosis_json import untestable
 from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf, isfinite, isinf
 
-from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate
 from experiments.console import text_table
+from experiments.documents import (
+    CauseSize,
+    DiagnosisDocument,
+    NamedCause,
+    contract_joint,
+    finite,
+    split_key,
+    untestable,
+)
 from experiments.judge import Files, next_step, normal, number, with_names
-from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
 from experiments.reports.structure import HEADER as STRUCTURE_HEADER
 from experiments.reports.structure import USE, structure_rows, structure_words
 
@@ -37,12 +45,13 @@ def gain_text(gain: float) -> str:
     return f"{gain:.3g}" if gain < 999.5 else f"{gain:.0f}"
 
 
-def size_rows(cause: Cause) -> list[list[str]]:
+def size_rows(cause: Cause | NamedCause) -> list[list[str]]:
     """effect, size, value, interval, unit; the name only in the first row."""
     rows = []
-    for k, s in enumerate(cause.size):
+    sizes: Sequence[SizeEstimate | CauseSize] = cause.size
+    for k, s in enumerate(sizes):
         rows.append(["" if k else effect_label(cause.effect, cause.joint), s.name, f"{s.value:.4g}",
-                     f"{s.ci95[0]:.4g} .. {s.ci95[1]:.4g}", s.unit])
+                     f"{finite(s.ci95[0]):.4g} .. {finite(s.ci95[1]):.4g}", s.unit])
     return rows
 
 
@@ -81,7 +90,7 @@ SMALL_HEADER, WORTH = ["effect", "size", "value", "tolerance (1 sigma)", "unit"]
 SMALL_TITLE = "Within the rig's tolerances, taken off the readings before anything was tried"
 
 
-def small_rows(found: Diagnosis) -> list[list[str]]:
+def small_rows(found: Diagnosis | DiagnosisDocument) -> list[list[str]]:
     """One row of SMALL_HEADER for each size that is worth a line."""
     return [[effect_label(one.effect, one.joint), one.name, f"{one.value:.3g}", f"{one.tolerance:.3g}", one.unit]
             for one in found.within_tolerance if abs(one.value) >= WORTH * one.tolerance]
@@ -96,9 +105,11 @@ def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
             for column, g in sensors.items()]
 
 
-def gap_text(found: Diagnosis) -> str:
+def gap_text(found: Diagnosis | DiagnosisDocument) -> str:
     """The share of the gap that free runs of whole runs show closed; empty where there is none."""
-    return share_text(found.sensors, found.gap_closed, found.gap_closed_ci95)
+    ci95 = found.gain.gap_closed_ci95 if isinstance(found, DiagnosisDocument) else found.gap_closed_ci95
+    known = None if ci95 is None else (finite(ci95[0]), finite(ci95[1]))
+    return share_text(found.sensors, found.gap_closed, known)
 
 
 def share_text(sensors: Mapping[str, SensorGain], closed: float | None, ci95: tuple[float, float] | None) -> str:
@@ -175,7 +186,7 @@ def budget_rows(found: Diagnosis) -> list[list[str]]:
             for row in found.budget if row.what != "nominal"]
 
 
-def causes_title(found: Diagnosis) -> str:
+def causes_title(found: Diagnosis | DiagnosisDocument) -> str:
     """Title of the list of causes; without any there are only warnings."""
     if not found.causes:
         return "Small faults and warnings" if small_rows(found) else "Warnings"
@@ -203,19 +214,19 @@ def parameter_rows(found: Diagnosis) -> tuple[list[str], list[list[str]]]:
     return ["parameter", "nominal"], [row[:2] for row in rows]
 
 
-def causes_text(found: Diagnosis) -> str:
+def causes_text(found: Diagnosis | DiagnosisDocument) -> str:
     """The causes with their sizes, under their title."""
     rows = [row for cause in found.causes for row in size_rows(cause)]
     return f"{causes_title(found)}:\n" + text_table(["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3})
 
 
-def errors_on_held_out(found: Diagnosis) -> str:
+def errors_on_held_out(found: Diagnosis | DiagnosisDocument) -> str:
     """The free-run errors on the held-out runs."""
     return (f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:\n"
             + text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}))
 
 
-def short_diagnosis_text(found: Diagnosis) -> str:
+def short_diagnosis_text(found: DiagnosisDocument) -> str:
     """The verdict, the causes and the errors."""
     return "\n\n".join([found.sentence, *([causes_text(found)] if found.causes else []),
                         *([errors_on_held_out(found)] if found.sensors else [])])

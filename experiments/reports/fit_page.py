@@ -11,22 +11,29 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.model import Mechanism
+from experiments.documents import FitDocument
 from experiments.judge import (
     Correlation,
     Estimate,
     fit_percent,
-    fit_trust,
     friction_level,
     number,
     open_torque,
     residual_tests,
     torque_fit,
 )
-from experiments.provenance import Origin
+from experiments.provenance import origin_of
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
-from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
+from experiments.reports.fit_text import (
+    PARAMETER_HEADER,
+    VOLTS,
+    noise_rows,
+    parameter_rows,
+    run_noise_lines,
+    samples_text,
+)
 from experiments.reports.html import Picture, Section, Table, fold, trust_box, write_page
 from experiments.reports.origin import origin_section
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
@@ -44,40 +51,40 @@ SENSOR_LABELS = {
 }
 
 
-def fit_summary(result: FitResult, model: str) -> str:
+def fit_summary(fit: FitDocument) -> str:
     """One sentence at the top of the page."""
-    ending = "The fit converged." if result.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
-    if result.undetermined:
-        ending += f" This data does not determine {', '.join(map(str, result.undetermined))}."
-    if result.mechanism.force_unit == "V":
+    ending = "The fit converged." if fit.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
+    if fit.undetermined:
+        ending += f" This data does not determine {', '.join(fit.undetermined)}."
+    if fit.force_unit == "V":
         ending += f" {VOLTS}"
-    known = f"{prior_sentence(result)} " if result.prior else ""
-    return (f"{known}{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. "
+    prior = f"{prior_sentence(fit)} " if fit.prior else ""
+    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}. "
             f"{ending}")
 
 
-def _sensors(result: FitResult) -> str:
-    sensors = "IMU, knee encoder" if result.sensors == "imu" else "joint encoders"
-    return f"{sensors} and torque" if result.mechanism.actuated else sensors.replace(", ", " and ")
+def _sensors(fit: FitDocument) -> str:
+    sensors = "IMU, knee encoder" if fit.sensors == "imu" else "joint encoders"
+    return f"{sensors} and torque" if fit.driven else sensors.replace(", ", " and ")
 
 
-def write_fit(path: Path | str, result: FitResult, model: str, runs: Sequence[Dataset], origin: Origin) -> None:
-    """Write the page of a fit to `runs` by a mechanism called `model`. Raises `InputError` where that place cannot be
-    written."""
-    write_page(path, f"Fit of {model}: {', '.join(run.name for run in runs)}", fit_summary(result, model),
-               [*fit_sections(result), origin_section(origin, runs)], origin,
-               trust_box(fit_trust(result), result.warnings))
+def write_fit(path: Path | str, fit: FitDocument, result: FitResult, runs: Sequence[Dataset]) -> None:
+    """Write the page of a fit to `runs`: its document, and the motion of `result`. Raises `InputError` where that place
+    cannot be written."""
+    origin = fit.provenance or origin_of()
+    write_page(path, f"Fit of {fit.model}: {', '.join(run.name for run in runs)}", fit_summary(fit),
+               [*fit_sections(fit, result), origin_section(origin, runs)], origin, trust_box(fit.trust, fit.warnings))
 
 
-def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
+def fit_sections(fit: FitDocument, result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
     """Everything that a fit alone can show. `benchmark` is a second model for the torques.
 
     The parameters stand open, the rest is folded; the torque of the last joint with a motor leads the page.
     """
-    return [_parameters(result), *fold([
-        *budget_section(result), *knowledge_section(result), *agreement_section(result), *opinion_section(result),
-        *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(result),
-        _limits(result)])]
+    return [_parameters(fit, result), *fold([
+        *budget_section(fit), *knowledge_section(fit), *agreement_section(fit), *opinion_section(fit),
+        *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(fit),
+        _limits(fit)])]
 
 
 def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Mapping[str, float]) -> Section:
@@ -96,11 +103,11 @@ def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Ma
                right=frozenset({1, 2, 3}))], folded=True)
 
 
-def _parameters(result: FitResult) -> Section:
+def _parameters(fit: FitDocument, result: FitResult) -> Section:
     """With the mechanism in the run that the figures show."""
     found = _first(result)
     sketch = [] if found is None else sketch_pictures(result.mechanism, found[0].q, found[0].time_s, found[0].run)
-    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(result), right=frozenset({1, 2, 3}))],
+    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(fit), right=frozenset({1, 2, 3}))],
                    sketch)
 
 
@@ -234,18 +241,18 @@ def _correlation(c: Correlation, caption: str) -> Picture:
     return Picture(plot_points(c.lags, c.values, c.band, "lag [samples]", "correlation", c.what), caption)
 
 
-def _noise(result: FitResult) -> Section:
-    rows = noise_rows(result)
+def _noise(fit: FitDocument) -> Section:
+    rows = noise_rows(fit)
     if not rows:
-        return Section("Noise levels", [f"{result.method} neither uses nor estimates any."])
+        return Section("Noise levels", [f"{fit.method} neither uses nor estimates any."])
     return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
                    [Table(["channel", "1 sigma", "unit"], rows, right=frozenset({1}))],
-                   notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(result)])
+                   notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(fit)])
 
 
-def _limits(result: FitResult) -> Section:
-    text: Sequence[str] = (["This data does not determine:"] if result.undetermined
+def _limits(fit: FitDocument) -> Section:
+    text: Sequence[str] = (["This data does not determine:"] if fit.undetermined
                            else ["This data determines every parameter of the model."])
-    notes = [*map(str, result.undetermined), *(f"Warning: {w}" for w in result.warnings),
-             *(f"Assumed: {a}" for a in result.assumptions)]
+    notes = [*fit.undetermined, *(f"Warning: {w}" for w in fit.warnings),
+             *(f"Assumed: {a}" for a in fit.assumptions)]
     return Section("What is not determined, and what is assumed", text, notes=notes)

@@ -5,38 +5,38 @@ from __future__ import annotations
 import math
 import re
 
-import numpy as np
-
-from estimator import FitResult
 from experiments.console import text_table
+from experiments.documents import FitDocument, finite
 from experiments.judge import number
 from experiments.reports.budget import budget_lines
-from experiments.reports.friction_form import friction_lines
 from experiments.reports.prior_knowledge import HEADER as PRIOR_HEADER
-from experiments.reports.prior_knowledge import measure_sentence, prior_rows, prior_sentence
+from experiments.reports.prior_knowledge import prior_rows, prior_sentence
 from experiments.reports.run_agreement import agreement_lines
 from experiments.reports.second_opinion import opinion_lines
 
 
-def parameter_rows(result: FitResult) -> list[list[str]]:
+def parameter_rows(fit: FitDocument) -> list[list[str]]:
     """name, value, std, 95 % interval, unit, meaning of every parameter."""
     rows = []
-    for p, value, std, (low, high) in zip(result.mechanism.parameters, result.beta, result.std, result.ci95()):
-        if p.name in result.open_parameters:
+    for p in fit.parameters:
+        if p.value is None:
             rows.append([p.name, "not determined", "", "", p.unit, p.meaning])
             continue
-        if p.name in result.fixed:
+        std, low, high = finite(p.std), *map(finite, p.ci95)
+        if p.fixed:
             spread, interval = "given", ""
-        elif p.name in result.at_bound:
+        elif p.at_bound:
             spread, interval = "at its bound", f"0 .. {number(high)}"
         elif math.isfinite(std):
-            spread, interval = number(float(std), float(std)), f"{number(low, std)} .. {number(high, std)}"
+            spread, interval = number(std, std), f"{number(low, std)} .. {number(high, std)}"
         else:
             spread, interval = "none", "not determined"
-        rows.append([p.name, number(float(value), float(std)), spread, interval, p.unit, p.meaning])
+        rows.append([p.name, number(p.value, std), spread, interval, p.unit, p.meaning])
     return rows
 
 
+OF_THE_FIRST_LINE = ("not_converged", "undetermined")
+"""Kinds of faults that the first line says in full."""
 VOLTS = "The input is a voltage: every parameter is in volt units."
 PARAMETER_HEADER = ["parameter", "value", "std", "95 % interval", "unit", "meaning"]
 NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps2": "accelerometer x",
@@ -47,22 +47,22 @@ OF_DISTURBANCE = re.compile(r"disturbance([0-9]+)_(nm|s)")
 OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
 
-def noise_rows(result: FitResult) -> list[list[str]]:
+def noise_rows(fit: FitDocument) -> list[list[str]]:
     """(channel, level, unit) of each noise level. A common level is left out if each of its sensors has its own."""
-    rows = []
-    for name, level in result.noise.items():
-        told, unit = _channel(result, name)
-        several = any(map(OF_ONE_IMU.fullmatch, result.noise))
-        if not ((name.endswith("_mps2") and name.replace("_mps2", "_x_mps2") in result.noise)
+    rows, levels = [], fit.levels
+    for name, level in levels.items():
+        told, unit = _channel(fit, name)
+        several = any(map(OF_ONE_IMU.fullmatch, levels))
+        if not ((name.endswith("_mps2") and name.replace("_mps2", "_x_mps2") in levels)
                 or (several and name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"))
-                or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, result.noise)))):
+                or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, levels)))):
             rows.append([told, f"{level:.3g}", unit])
     return rows
 
 
-def _channel(result: FitResult, name: str) -> tuple[str, str]:
+def _channel(fit: FitDocument, name: str) -> tuple[str, str]:
     """A noise channel in words, and its unit."""
-    force, length = result.mechanism.force_unit, result.mechanism.length_unit
+    force, length = fit.force_unit, fit.length_unit
     units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
              "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
     disturbance = OF_DISTURBANCE.fullmatch(name)
@@ -79,48 +79,66 @@ def _channel(result: FitResult, name: str) -> tuple[str, str]:
     return NOISE_NAMES.get(name, name), units.get(name, "")
 
 
-def run_noise_lines(result: FitResult) -> list[str]:
+def run_noise_lines(fit: FitDocument) -> list[str]:
     """A line for each channel whose noise differs between runs: lowest and highest level, and the consequence."""
-    found, lines = result.run_noise, list[str]()
+    found, lines = fit.noise_by_run, list[str]()
     if found is None:
         return lines
     for name, own in found.levels.items():
-        told, unit = _channel(result, name)
-        quiet, noisy = int(np.argmin(own)), int(np.argmax(own))
+        told, unit = _channel(fit, name)
+        quiet, noisy = own.index(min(own)), own.index(max(own))
         lines.append(f"noise of runs differs: {told} {own[quiet]:.3g} {unit} ({found.runs[quiet]}) to {own[noisy]:.3g} "
                      f"({found.runs[noisy]}); each run is weighted by its own level")
     return lines
 
 
-def parameter_text(result: FitResult) -> str:
+def friction_lines(fit: FitDocument) -> list[str]:
+    """A line for each joint: share of Coulomb friction in the energy that friction takes, with its 95 % interval."""
+    return [f"friction of joint {one.joint}: its Coulomb part takes {100 * one.coulomb_share:.0f} % "
+            f"[{100 * one.ci95[0]:.0f}, {100 * one.ci95[1]:.0f}] of the energy that friction takes, its viscous part "
+            "the rest; legid diagnose tells whether another form is missing" for one in fit.friction]
+
+
+def parameter_text(fit: FitDocument) -> str:
     """The table of the parameters."""
-    return text_table(PARAMETER_HEADER, parameter_rows(result), right={1, 2, 3})
+    return text_table(PARAMETER_HEADER, parameter_rows(fit), right={1, 2, 3})
 
 
-def fit_text(result: FitResult, model: str) -> str:
-    """Text after a fit."""
-    lines = [*([prior_sentence(result), ""] if result.prior else []),
-             f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
-             f"{result.iterations} iterations, {result.wall_s:.2f} s, "
-             + ("converged" if result.converged else "NOT CONVERGED"), "",
-             parameter_text(result), ""]
-    if result.noise:
+def samples_text(fit: FitDocument) -> str:
+    """Number of samples used, as text, page and notebook have it."""
+    return f"{fit.samples} of {fit.recorded} samples" if fit.recorded > fit.samples else f"{fit.samples} samples"
+
+
+def fit_text(fit: FitDocument) -> str:
+    """Text after a fit, below its first lines."""
+    lines = [*([prior_sentence(fit), ""] if fit.prior else []),
+             f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
+             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
+             + ("converged" if fit.converged else "NOT CONVERGED"), "",
+             parameter_text(fit), ""]
+    if fit.noise:
         lines.append("noise (1 sigma): " + ", ".join(
-            f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(result)))
-    lines += run_noise_lines(result)
+            f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(fit)))
+    lines += run_noise_lines(fit)
     lines.append("torque residual (rms): " + ", ".join(
-        f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
-    if result.mechanism.force_unit == "V":
+        f"joint {j + 1} {finite(rms):.3g} {fit.force_unit}" for j, rms in enumerate(fit.torque_residual_rms_nm)))
+    if fit.force_unit == "V":
         lines.append(VOLTS)
-    if result.prior:
-        lines += ["", text_table(PRIOR_HEADER, prior_rows(result), right={1, 2, 3, 4}), ""]
-    lines += budget_lines(result)
-    lines += friction_lines(result)
-    lines += agreement_lines(result)
-    lines += opinion_lines(result)
-    lines += [f"not determined by this data: {name}" for name in result.undetermined]
-    lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]
-    lines += [f"assumed: {text}" for text in result.assumptions]
-    if advice := measure_sentence(result):
-        lines.append(f"next: {advice}")
+    if fit.prior:
+        lines += ["", text_table(PRIOR_HEADER, prior_rows(fit), right={1, 2, 3, 4}), ""]
+    lines += budget_lines(fit)
+    lines += friction_lines(fit)
+    lines += agreement_lines(fit)
+    lines += opinion_lines(fit)
+    lines += [f"not determined by this data: {name}" for name in fit.undetermined]
+    lines += [f"warning: {text}" for text in (*(one.text for one in fit.findings if one.role == "fault"
+                                                and one.kind not in OF_THE_FIRST_LINE), *fit.warnings)]
+    lines += [f"assumed: {text}" for text in fit.assumptions]
+    if fit.measure_next is not None and fit.measure_next.text:
+        lines.append(f"next: {fit.measure_next.text}")
     return "\n".join(lines)
+
+
+def whole_fit_text(fit: FitDocument) -> str:
+    """Everything that `legid fit` prints."""
+    return "\n".join([fit.trust.sentence, *fit.trust.reasons, "", fit_text(fit)])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from estimator.diagnosis import Diagnosis
+from experiments.documents import contract_joint, split_key
 from experiments.judge import Experiment, Investigation, Step
-from experiments.reports.diagnosis_json import contract_joint, split_key
 
 SCHEMA = "legid.investigation/1"
 MOST_COMPARED = 6

@@ -20,7 +20,6 @@ from daq.runs import SUFFIXES, RawRun, commanded, read_csv, read_run, start_of
 from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.judge import BOUND_S, clock_bound_s
-from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import lost_frames, readings_of, recorded_readings
 from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
@@ -245,7 +244,7 @@ def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
                 msgspec.json.decode(data, type=_Diagnosis)
         except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
-        if schema in (SCHEMA, WATCH):
+        if schema in ("legid.diagnosis/1", WATCH):
             found.append((path.stat().st_mtime, path, document))
     return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
 

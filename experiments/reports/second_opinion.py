@@ -1,67 +1,45 @@
-"""Second estimator's opinion of a fit, as text, JSON and a section of the page."""
+"""Second estimator's opinion of a fit, as text and a section of the page."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
-from estimator import MOST_DISAGREEMENT, FitResult
-from experiments.judge import METHOD_WORDS, disagreement, with_half_width
+from estimator import MOST_DISAGREEMENT
+from experiments.documents import FitDocument, finite
+from experiments.judge import METHOD_WORDS, with_half_width
 from experiments.reports.html import Section, Table
 
 
-def opinion_lines(result: FitResult) -> list[str]:
+def opinion_lines(fit: FitDocument) -> list[str]:
     """For a terminal; none without a second opinion."""
-    other = result.second_opinion
+    other = fit.second_opinion
     if other is None:
         return []
-    left_out = _not_compared(result)
     told = f"second opinion, by {METHOD_WORDS[other.method]}: "
-    if len(left_out) == len(result.mechanism.names):
+    if not other.parameters:
         return [f"{told}it determines no parameter of these"]
-    name = result.mechanism.names[int(np.nanargmax(other.disagreement))]
-    told += f"largest disagreement {other.largest:.2g} half widths, in {name}"
-    return [told + (f"; not compared: {', '.join(left_out)}" if left_out else "")]
+    name = max(other.parameters, key=lambda row: row.disagreement).name
+    told += f"largest disagreement {other.disagreement:.2g} half widths, in {name}"
+    return [told + (f"; not compared: {', '.join(other.not_compared)}" if other.not_compared else "")]
 
 
-def _not_compared(result: FitResult) -> list[str]:
-    other = result.second_opinion
-    return [] if other is None else [name for name, apart in zip(result.mechanism.names, other.disagreement)
-                                     if not np.isfinite(apart)]
-
-
-def opinion_document(result: FitResult) -> dict[str, Any] | None:
-    """For fit JSON; null without a second opinion."""
-    other = result.second_opinion
-    if other is None:
-        return None
-    rows = zip(result.mechanism.names, map(float, other.beta), map(float, other.half_width), other.disagreement)
-    held = other.held_out
-    return {"method": other.method, "disagreement": other.largest, "reported": result.method,
-            "parameters": [{"name": name, "value": value, "ci95": [value - half, value + half],
-                            "disagreement": float(apart)} for name, value, half, apart in rows
-                           if np.isfinite(apart)],
-            "not_compared": _not_compared(result),
-            "held_out": None if held is None else {"gain": held.gain, "ci95": list(held.ci95),
-                                                   "segments": held.segments}}
-
-
-def opinion_section(result: FitResult) -> list[Section]:
+def opinion_section(fit: FitDocument) -> list[Section]:
     """For the page; none without a second opinion."""
-    other = result.second_opinion
+    other = fit.second_opinion
     if other is None:
         return []
-    rows = [[p.name, with_half_width(result.beta[k], result.half_width[k]),
-             with_half_width(other.beta[k], other.half_width[k]), f"{other.disagreement[k]:.2g}", p.unit, p.meaning]
-            for k, p in enumerate(result.mechanism.parameters) if np.isfinite(other.disagreement[k])]
-    ours, theirs = METHOD_WORDS[result.method], METHOD_WORDS[other.method]
+    parameters = {p.name: p for p in fit.parameters}
+    rows = [[row.name, _with_half(parameters[row.name].value, parameters[row.name].ci95),
+             _with_half(row.value, row.ci95), f"{row.disagreement:.2g}", parameters[row.name].unit,
+             parameters[row.name].meaning] for row in other.parameters]
+    ours, theirs = METHOD_WORDS[fit.method], METHOD_WORDS[other.method]
     told = (f"The same data by {theirs}, which fails differently. Disagreement: difference over the root of both "
             f"squared half widths; above {MOST_DISAGREEMENT:g} the fit is not trusted.")
-    why = disagreement(result)
-    left_out = _not_compared(result)
-    return [Section("Second opinion", [told, *([f"{why[:1].upper()}{why[1:]}."] if why else [])], [
+    return [Section("Second opinion", [told, *([f"{other.why[:1].upper()}{other.why[1:]}."] if other.why else [])], [
         Table(["parameter", f"{ours} (reported)", theirs, "disagreement", "unit", "meaning"], rows,
               right=frozenset({1, 2, 3}))],
-        notes=[f"Not compared because given, at a bound, or not determined by both: {', '.join(left_out)}."]
-        if left_out else [])]
+        notes=[f"Not compared because given, at a bound, or not determined by both: {', '.join(other.not_compared)}."]
+        if other.not_compared else [])]
+
+
+def _with_half(value: float | None, ci95: tuple[float | None, float | None]) -> str:
+    low, high = map(finite, ci95)
+    return with_half_width(finite(value), (high - low) / 2.0)

@@ -1,4 +1,4 @@
-"""The structure of a residual: in words, as rows, as a document, and its curves with their bands."""
+"""The structure of a residual: in words, as rows, and its curves with their bands."""
 
 from __future__ import annotations
 
@@ -38,21 +38,6 @@ def structure_rows(found: Structure) -> list[list[str]]:
     unit = found.mechanism.unit("N m")
     return [[str(joint), inputs, f"{rms:.3g} {unit}", f"{noise[joint]:.3g} {unit}"]
             for (joint, inputs), rms in where_of(found).items()]
-
-
-def structure_document(found: Structure) -> dict[str, Any]:
-    """`structure` of a diagnosis, as docs/formats.md has it."""
-    noise = {(one.law.joint or 0) + 1: one.noise_nm for one in found.torques}
-    table = found.table
-    return {"removed": found.removed, "removed_ci95": list(found.removed_ci95 or ()),
-            "where": [{"joint": joint, "depends_on": inputs, "rms_nm": rms, "noise_nm": noise[joint]}
-                      for (joint, inputs), rms in where_of(found).items()],
-            "error": [{"channel": c, "horizon_s": h if np.isfinite(h) else None, "before": _finite(table.rms(0, c, h)),
-                       "after": _finite(table.rms(1, c, h))} for c in table.judged for h in table.horizons_s]}
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def structure_section(found: Structure | None) -> Section:

@@ -9,14 +9,12 @@ from msgspec import structs
 from estimator import FitResult
 from estimator.prediction import PredictionTable, validations_of
 from experiments.console import command_line, write_json, write_text
-from experiments.documents import ValidationDocument
-from experiments.judge import estimates_of, fit_trust, model_of, validation_trust
+from experiments.documents import DiagnosisDocument, FitDocument, ValidationDocument
+from experiments.judge import estimates_of, model_of, validation_trust
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
-    diagnosis_document,
     diagnosis_sections,
-    fit_document,
     fit_sections,
     fit_summary,
     model_with_origin,
@@ -28,7 +26,6 @@ from experiments.reports import (
     validation_section,
     verdict_box,
     verdict_words,
-    with_origin,
     write_page,
 )
 from experiments.workflows.demo_result import Demo
@@ -45,15 +42,16 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     model = model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets])
     save_model(model_with_origin(model, origin), written["model"])
     save_model(model_with_origin(demo.model, origin), written["extended model"])
-    write_json(written["fit"], with_origin(fit_document(result, setup.settings), origin))
-    write_json(written["diagnosis"], with_origin(diagnosis_document(demo.diagnosis), origin))
+    fit = structs.replace(FitDocument.of(result, setup.settings), provenance=origin)
+    write_json(written["fit"], fit)
+    write_json(written["diagnosis"], structs.replace(DiagnosisDocument.of(demo.diagnosis), provenance=origin))
     write_json(written["validation"], structs.replace(_validation(demo, demo.after), provenance=origin))
     write_text(written["picture"], standalone(validation_picture(validations_of(demo.after)[0])))
-    sections = fit_sections(result, benchmark)
+    sections = fit_sections(fit, result, benchmark)
     sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
     sections[-3:-3] = [validation_section(_validation(demo, demo.before), demo.before)]
-    write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
-               [*sections, origin_section(origin)], origin, trust_box(fit_trust(result), result.warnings))
+    write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(fit),
+               [*sections, origin_section(origin)], origin, trust_box(fit.trust, fit.warnings))
     told = diagnosis_sections(demo.diagnosis, setup.mechanism)
     told[1:1] = [truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",

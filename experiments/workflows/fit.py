@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from msgspec import structs
@@ -16,7 +16,7 @@ from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered
 from estimator.score import TORQUE_GAIN
 from estimator.signals import split_signals
-from experiments.reports import fit_document
+from experiments.documents import FitDocument
 from experiments.session import (
     Choice,
     Prepared,
@@ -25,7 +25,6 @@ from experiments.session import (
     SetAside,
     Setup,
     as_datasets,
-    faulty_readings,
     needs_law,
     prepare,
     suspect,
@@ -34,6 +33,7 @@ from experiments.session import (
 from experiments.workflows.loop_values import LoopValues, find_loop_values, in_units, loop_findings
 from experiments.workflows.servo_gain import scaled
 
+D = TypeVar("D", bound=FitDocument)
 NOISY = 0.2
 """Share of a torque's spread that, put down to noise, asks whether the angles err by more than their encoder shows."""
 NEARLY_ALL = 0.98
@@ -63,15 +63,10 @@ class Fitted:
     servo_gain: tuple[float, float, float] | None = None
     """Value and 95 % interval of a servo's gain that the fit found"""
 
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.fit/1` with the runs set aside, the entries chosen and a servo's gain."""
-        gain = self.servo_gain
-        return {**fit_document(self.result, self.setup.settings),
-                "set_aside": [run.document for run in self.aside],
-                "readings": faulty_readings(self.setup.datasets),
-                "servo_gain": None if gain is None else {"value": gain[0], "ci95": list(gain[1:])},
-                "chosen": [choice.document for choice in self.choices]}
+    def as_document(self, kind: type[D]) -> D:
+        """`legid.fit/1` as `kind`, the struct or one derived from it, without its provenance."""
+        return kind.of(self.result, self.setup.settings, self.setup.datasets, self.aside, self.choices,
+                       self.servo_gain)
 
 
 def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,

@@ -9,6 +9,7 @@ from typing import Any
 from daq import InputError, Rig, WorkError
 from estimator import Method
 from experiments.console import text_table
+from experiments.documents import FitDocument, finite
 from experiments.judge import number
 from experiments.provenance import Origin
 from experiments.workflows.executor import Executor
@@ -34,7 +35,6 @@ class Refit:
 def refit(piece: Refit) -> dict[str, Any]:
     """The run's fit JSON with its name, or `error` where the run cannot be read or fitted."""
     from estimator import FitError
-    from experiments.reports import with_origin
     from experiments.workflows.fit import fit_runs
 
     try:
@@ -42,7 +42,9 @@ def refit(piece: Refit) -> dict[str, Any]:
                          method=piece.method, damaged=piece.damaged)
     except (FitError, InputError, WorkError) as error:
         return {"run": piece.run, "error": " ".join(str(error).split()), "input": isinstance(error, InputError)}
-    return {"run": piece.run, **with_origin(found.document, piece.origin, found.setup.datasets)}
+    made = found.as_document(FitDocument)
+    made.provenance = piece.origin
+    return {"run": piece.run, **made.document}
 
 
 def refit_all(pieces: Sequence[Refit], executor: Executor, done: Callable[[int, str], None]) -> list[dict[str, Any]]:
@@ -66,7 +68,7 @@ def refits_text(fits: Sequence[Mapping[str, Any]]) -> str:
     if good:
         names = [p["name"] for p in good[0]["parameters"]]
         rows = [[fit["run"], "yes" if fit["converged"] else "NO",
-                 *(number(p["value"], p["std"]) for p in fit["parameters"])] for fit in good]
+                 *(number(finite(p["value"]), finite(p["std"])) for p in fit["parameters"])] for fit in good]
         lines.append(text_table(["run", "converged", *names], rows, set(range(2, 2 + len(names)))))
     lines += [f"not fitted: {fit['error']}" for fit in fits if "error" in fit]
     return "\n".join(lines)

@@ -18,6 +18,7 @@ from estimator import FitError
 from estimator.diagnosis import Diagnosis
 from estimator.signals import angle_column
 from experiments.console import make_directory, write_json, write_text
+from experiments.documents import DiagnosisDocument
 from experiments.excite import (
     Band,
     Bench,
@@ -38,9 +39,7 @@ from experiments.judge import Ending, Experiment, Investigation, Step, check_sou
 from experiments.models import Model, save_model
 from experiments.provenance import Origin
 from experiments.reports import (
-    diagnosis_document,
     investigation_document,
-    with_origin,
     write_diagnosis,
     write_investigation,
 )
@@ -207,8 +206,9 @@ class Investigator:
         self._pending = []
         self.steps.append(step)
         setup, name, origin = prepared.setup, f"diagnosis{len(self.steps)}", self.origin(self.files)
-        write_json(self.out / f"{name}.json", with_origin(
-            diagnosis_document(found, prepared.set_aside, setup.datasets), origin, setup.datasets))
+        document = DiagnosisDocument.of(found, prepared.set_aside, setup.datasets)
+        document.provenance = origin
+        document.to_json(self.out / f"{name}.json")
         write_diagnosis(self.out / f"{name}.html", found, prepared, origin)
         self._journal(None, "The investigation goes on.")
         self.asked.told(step)
@@ -229,7 +229,7 @@ class Investigator:
         why = "No listed effect explains the error: another run of these kinds would repeat it"
         if found.verdict in ("one_of", "partial"):
             try:
-                question = question_in(diagnosis_document(found), "the diagnosis")
+                question = question_in(DiagnosisDocument.of(found).document, "the diagnosis")
             except InputError as error:
                 why = f"The diagnosis {error.what}"
             else:

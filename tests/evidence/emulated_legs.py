@@ -9,8 +9,8 @@ import numpy as np
 
 from daq import Rig, load_rig
 from estimator.diagnosis import Diagnosis
+from experiments.documents import DiagnosisDocument
 from experiments.emulation import LegBody
-from experiments.reports import diagnosis_document
 from tests.support.paths import DEMO_RIG
 
 RATE_HZ = 100.0
@@ -41,4 +41,4 @@ def label(effect: str, joint: int | None) -> str:
 
 def causes_of(found: Diagnosis) -> tuple[str, ...]:
     """Labels of the causes."""
-    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in diagnosis_document(found)["causes"]))
+    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in DiagnosisDocument.of(found).document["causes"]))

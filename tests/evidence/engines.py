@@ -76,7 +76,7 @@ def answered(leg: Leg, runs: Sequence[Dataset], stated_hz: float = 0.0
     inside = tuple(bool(intervals[name][0] <= b <= intervals[name][1])
                    for name, b in zip(NAMES, leg.beta(), strict=True))
     said = next((flag.text for flag in read[0].flags if flag.kind == "grid"), "")
-    return found.verdict, str(fit.trust).split(" the ")[0], inside, float(fit.noise.get("torque_nm", np.nan)), said
+    return found.verdict, str(fit.trust).split(" the ")[0], inside, fit.levels.get("torque_nm", np.nan), said
 
 
 @kept

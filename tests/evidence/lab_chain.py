@@ -92,7 +92,7 @@ def answer(seed: int, turn: int) -> Answer:
     there = {name: any(abs(faults.get(key, zero)) > FAULTY * FAULTS.get(key, ZERO_RAD) for key in keys.split())
              for name, keys in EFFECTS.items()}
     there |= {"sensor_time_skew": cutoff_hz > 0.0, "joint_stiffness": spring > 0.0}
-    stiffness = next((s.ci95 for c in found.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
+    stiffness = next((s.ci95 for c in found.details.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
                       for s in c.size if s.name == "stiffness"), None)
     found_at = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))
     values, beta = dict(zip(fit.mechanism.names, fit.beta, strict=True)), leg.beta()
@@ -100,7 +100,8 @@ def answer(seed: int, turn: int) -> Answer:
                   tuple(bool(found_at[n][0] <= b <= found_at[n][1]) for n, b in zip(NAMES, beta, strict=True)),
                   100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], beta[:5])),
                   str(fit.trust).split(" the ")[0], found.verdict, tuple(c.effect for c in found.causes),
-                  tuple(there.get(c.effect, False) for c in found.causes), stiffness, found.error or (np.nan, np.nan))
+                  tuple(there.get(c.effect, False) for c in found.causes), stiffness,
+                  found.details.error or (np.nan, np.nan))
 
 
 def share(found: Sequence[bool]) -> str:

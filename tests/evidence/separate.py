@@ -25,6 +25,7 @@ from daq import FloatArray, InputError, Rig, WorkError
 from daq.recording import Plan
 from estimator.diagnosis import Diagnosis
 from estimator.effects import library
+from experiments.documents import DiagnosisDocument
 from experiments.emulation import LegBody, record_emulated
 from experiments.excite import (
     USUAL_HIGH_HZ,
@@ -48,7 +49,6 @@ from experiments.models import (
     build_mechanism,
     mechanism_settings,
 )
-from experiments.reports import diagnosis_document
 from experiments.session import Setup, prepare, setup_of
 from experiments.workflows import diagnose_prepared
 from studies import machine
@@ -165,7 +165,7 @@ def outcome(effect: str, tie: float, number: int) -> Outcome:
             bench = Bench(model, rig, "the diagnosis")
         except InputError:  # of a model with a parameter that is not positive
             return Outcome(first.verdict, found, size, score, None, None, seconds=time.perf_counter() - began)
-        contest = contest_of(bench, question_in(diagnosis_document(first), "the diagnosis"), model, options)
+        contest = contest_of(bench, question_in(DiagnosisDocument.of(first).document, "the diagnosis"), model, options)
         ends, ratios = [], []
         bands = widening_bands(MORE_S, 0.0, rig.sampling.planned_hz)
         for k, one in enumerate((separate(contest, bands, search).best, design(bench, bands[0], search).best)):

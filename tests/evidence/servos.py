@@ -147,7 +147,7 @@ def diagnose(which: int, seed: int) -> Said:
     """The diagnosis of one leg with one cause."""
     drawn = draw(seed)
     found = legid.diagnose(record(drawn, seed, CAUSES[which]), rig_of(drawn), workers=1)
-    return Said(found.verdict, tuple(c.effect for c in found.causes), found.error, found.wall_s)
+    return Said(found.verdict, tuple(c.effect for c in found.causes), found.details.error, found.wall_s)
 
 
 def rounds(seed: int) -> Iterator[tuple[str, tuple[Any, ...]]]:

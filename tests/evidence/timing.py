@@ -94,12 +94,13 @@ def answer(seed: int, turn: int) -> Answer:
                        for name, b in zip(NAMES, leg.beta(), strict=True))
         found = legid.diagnose(runs, rig)
     delay = None
-    for cause in found.causes:
+    for cause in found.details.causes:
         if cause.effect == "torque_delay":
             (size,) = (s for s in cause.size if s.name == "delay")
             delay = (-size.value, -size.ci95[1], -size.ci95[0])
-    return Answer(timing, fit.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
-                  tuple(c.effect for c in found.causes), found.error[0] if found.error else np.nan, delay)
+    return Answer(timing, fit.estimate.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
+                  tuple(c.effect for c in found.causes),
+                  found.details.error[0] if found.details.error else np.nan, delay)
 
 
 def share(found: Sequence[bool]) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from estimator import Combination
+from estimator.diagnosis import Diagnosis as Details
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
 from legid import api
@@ -84,13 +85,13 @@ def test_results_draw_themselves_and_remember_where_they_come_from(example: dict
 def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> None:
     result, runs, rig = example["result"], example["runs"][:3], example["rig_file"]
     with pytest.raises(api.WorkError, match="did not converge"):
-        api.model(replace(result, converged=False), runs, rig)
+        api.model(replace(result.estimate, converged=False), runs, rig)
     with pytest.raises(api.WorkError, match="does not determine beta8"):
-        api.model(replace(result, undetermined=(Combination((("beta8", 1.0),)),)), runs, rig)
+        api.model(replace(result.estimate, undetermined=(Combination((("beta8", 1.0),)),)), runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
-        api.model(api.Diagnosis("fit_failed", "too short"), runs, rig)
+        api.model(Details("fit_failed", "too short"), runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
-        api.Diagnosis("fit_failed", "too short").plot()
+        api.Diagnosis.of(Details("fit_failed", "too short")).plot()
 
 
 def test_bad_input_is_an_input_error(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_results_show_themselves_and_write_the_commands_pages(log: Path, tmp_pat
     legid.save_model(model, tmp_path / "model.json")
     seen = legid.validate(model, run)
     said = typed("fit", tmp_path / "run.csv", "--rig", log.parent / "rig.toml", "--html", tmp_path / "fit.html")
-    assert str(found).splitlines()[0] == said.splitlines()[0] == found.trust and "m2*l1*lc2" in str(found)
+    assert str(found).splitlines()[0] == said.splitlines()[0] == str(found.trust) and "m2*l1*lc2" in str(found)
     said = typed("validate", tmp_path / "model.json", tmp_path / "run.csv", "--rig", log.parent / "rig.toml", "--html",
                  tmp_path / "validation.html", "--json", tmp_path / "v.json")
     assert str(seen).splitlines()[0] == said.splitlines()[0] and "SSE q2_rad" in str(seen)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import legid
 from daq.rig import parse_rig
 from estimator import Combination
-from legid.results import dressed
+from experiments.models import mechanism_settings
 from tests.support.fits import synthetic_fit
 
 TOML = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -41,13 +42,15 @@ def test_every_name_that_is_offered_is_there() -> None:
 
 
 def test_a_fit_as_table_and_page() -> None:
-    found = dressed(legid.FitResult, synthetic_fit())
+    plain, settings = synthetic_fit(), mechanism_settings(RIG)
+    found = legid.FitResult.of(plain, settings)
     table = found.to_frame()
-    np.testing.assert_array_equal(table["value"], found.beta)
-    np.testing.assert_array_equal(table[["low", "high"]], found.ci95())
+    np.testing.assert_array_equal(table["value"], plain.beta)
+    np.testing.assert_array_equal(found.beta, plain.beta)
+    np.testing.assert_array_equal(table[["low", "high"]], plain.ci95())
     assert table.loc["beta1", "unit"] == "kg m^2"
-    unsure = dressed(legid.FitResult, synthetic_fit(), converged=False,
-                     undetermined=(Combination((("beta8", 1.0), ("beta9", -1.0))),))
+    unsure = legid.FitResult.of(replace(plain, converged=False, undetermined=(
+        Combination((("beta8", 1.0), ("beta9", -1.0))),)), settings)
     assert list(unsure.to_frame()["value"].isna()) == [False] * 7 + [True, True]
     page = unescape(unsure._repr_html_())
     assert "NOT CONVERGED" in page and "does not determine beta8 -1*beta9" in page and "m2*l1*lc2" in page
@@ -72,7 +75,7 @@ def test_without_pandas_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_runs_without_a_rig_or_of_two_rigs_are_refused() -> None:
     bare = legid.Dataset("bare", 100.0, np.arange(5.0), {})
-    other = dressed(legid.Dataset, two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
+    other = replace(two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
     with pytest.raises(legid.InputError, match="bare: was not loaded with a rig"):
         legid.fit(bare)
     with pytest.raises(legid.InputError, match=r"run2\.csv: was loaded with another rig than run1\.csv"):

@@ -43,14 +43,13 @@ def test_a_stiff_pivot_is_named_with_its_size(found: legid.Diagnosis, runs: list
     assert causes[("joint_stiffness", 1)].size[0].value == pytest.approx(STIFFNESS, rel=0.25)
     assert found.gap_closed is not None and found.gap_closed > 0.8
     knee = np.concatenate([run["q2_rad"] for run in runs if run.name not in found.confirm_runs])
-    assert found.angle_range[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
+    assert found.details.angle_range[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
 
 
 def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis, runs: list[legid.Dataset],
                                                          tmp_path: Path) -> None:
-    assert found.prepared is not None
     models = []
-    for name, one in (("nominal", replace(found, effects=())), ("extended", found)):
+    for name, one in (("nominal", replace(found.details, effects=())), ("extended", found.details)):
         legid.save_model(diagnosed_model(one, found.prepared.setup, 1.0), tmp_path / f"{name}.json")
         models.append(legid.load_model(tmp_path / f"{name}.json"))
     nominal, extended = models

@@ -26,9 +26,19 @@ level: str = seen.trust.level
 errors: dict[str, float | None] = seen.horizons[0].rmse
 first: legid.Validation = seen[0]
 same = legid.Validations.read("validation.json").runs[0].start_s
+fit = legid.fit(run)
+trusted: bool = fit.trust.level == "good"
+value: float | None = fit.parameters[0].value
+half: float = float(fit.ci95()[0, 1] - fit.beta[0])
+widened = [row.widened for row in fit.agreement.parameters] if fit.agreement else []
+found = legid.diagnose(run)
+size: float = found.causes[0].size[0].value
+after: float = found.sensors["q2_rad"].after
+closed: float | None = found.gain.gap_closed
 better: str | None = legid.compare(legid.load_model("a.json"), legid.load_model("b.json"), [run]).errors[0].better
 """
-WRONG = {"wrong: int = seen.trust": "incompatible type", "seen.no_such_key": "no attribute"}
+WRONG = {"wrong: int = seen.trust": "incompatible type", "seen.no_such_key": "no attribute",
+         "fit.no_such_key": "no attribute", "found.no_such_key": "no attribute"}
 """Line -> what mypy says of it."""
 
 

@@ -1,10 +1,12 @@
-"""A fit made of sines, for pages and files."""
+"""A fit made of sines, for pages and files, and its document."""
 
 import numpy as np
 
 from estimator.model.mechanism import leg2
 from estimator.result import FitResult, Trajectory
+from experiments.documents import FitDocument
 from experiments.emulation.plant import LegBody
+from experiments.models import MechanismSettings
 
 
 def synthetic_fit() -> FitResult:
@@ -25,3 +27,8 @@ def synthetic_fit() -> FitResult:
     covariance = np.diag((0.01 * beta + 1e-4) ** 2)
     return FitResult(mechanism, "mle", "imu", beta, covariance, {"gyro_radps": 0.005, "accel_mps2": 0.05},
                      np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
+
+
+def document_of(result: FitResult, model: str = "leg2") -> FitDocument:
+    """`legid.fit/1` of a fit without runs."""
+    return FitDocument.of(result, MechanismSettings(model=model, actuated=(2,), lever_arm_m=0.2))

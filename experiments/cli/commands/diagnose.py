@@ -50,44 +50,34 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
-    from daq import WorkError
-    from experiments.console import command_line, stages, warn, write_json
-    from experiments.judge import Files, diagnosed_model
-    from experiments.models import load_model, save_model
-    from experiments.provenance import origin_of
-    from experiments.reports import diagnosis_document, diagnosis_text, model_with_origin, with_origin
-    from experiments.session import prepare
-    from experiments.workflows import as_reference, diagnose_prepared, reference_values, with_reference_terms
-
     if args.against:
         return _run_against(args)
+    from daq import WorkError
+    from experiments.console import command_line, stages, warn
+    from experiments.judge import Files
+    from experiments.provenance import origin_of
+    from legid import diagnose, load, model, save_model
+
     chosen = chosen_rig(args, args.runs)
     origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
-    earlier = load_model(args.reference) if args.reference else None
-    rig = with_reference_terms(chosen.rig, earlier)
-    prepared = prepare(args.runs, rig, fixed=dict(args.fix), damaged=args.damaged)
-    setup = prepared.setup
-    for text in prepared.warnings:
-        warn(text)
-    reference = None if earlier is None else reference_values(earlier, args.reference, setup)
+    runs = load(args.runs, chosen.rig, args.damaged)
     with stages("diagnosing") as show:
-        found = diagnose_prepared(prepared, args.seed, reference, show, args.workers, args.material)
+        found = diagnose(runs, chosen.rig, args.seed, args.reference, show, args.workers, args.material, dict(args.fix))
+    found.provenance = origin
+    for text in found.prepared.warnings:
+        warn(text)
     files = Files(args.runs, chosen.file, args.model_out, args.json)
     if found.verdict != "fit_failed":
         # before any file: a full disk must not take minutes of work with it
-        print(diagnosis_text(found, files), flush=True)
+        print(found.text(files), flush=True)
     if args.json:
-        write_json(args.json, with_origin(
-            diagnosis_document(found, prepared.set_aside, setup.datasets), origin, setup.datasets))
+        found.to_json(args.json)
     if args.html:
-        from experiments.reports import write_diagnosis
-
-        write_diagnosis(args.html, found, prepared, origin, files)
+        found.page(args.html, files)
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:
-        model = as_reference(diagnosed_model(found, setup, rig.motor.gear_ratio), prepared)
-        save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
+        save_model(model(found), args.model_out)
     return 0
 
 

@@ -65,36 +65,25 @@ def run(args: argparse.Namespace) -> int:
     """Fit, print, write what was asked for. Raises `WorkError` where the fit is no use."""
     if args.each:
         return _run_each(args)
-    from experiments.console import busy, command_line, warn, write_json
-    from experiments.judge import check_sound, fit_trust, model_of
+    from experiments.console import busy, command_line, warn
+    from experiments.judge import check_sound
     from experiments.provenance import origin_of
-    from experiments.reports import fit_text, with_origin
-    from experiments.session import load_runs
-    from experiments.workflows import fit_runs
+    from legid import fit, load, model, save_model
 
     rig = chosen_rig(args, args.runs)
-    written = args.json or args.html or args.model_out
-    origin = origin_of(args.runs, rig.source, command=command_line()) if written else None
-    runs = load_runs(args.runs, rig.rig, args.damaged)
+    origin = origin_of(args.runs, rig.source, command=command_line())
+    runs = load(args.runs, rig.rig, args.damaged)
     with busy(f"fitting {len(runs)} runs by {args.method}"):
-        fitted = fit_runs(runs, rig.rig, sensors=args.sensors, fixed=dict(args.fix), latent=args.latent,
-                          method=args.method)
-    setup, result = fitted.setup, fitted.result
-    trust = fit_trust(result)
-    print("\n".join([trust.sentence, *trust.reasons, "", fit_text(result, setup.settings.model)]))
-    for flag in fitted.flags:
+        found = fit(runs, rig.rig, args.method, args.sensors, dict(args.fix), args.latent)
+    found.provenance = origin
+    print(found.text())
+    for flag in found.fitted.flags:
         warn(str(flag))
-    if args.json and origin:
-        write_json(args.json, with_origin(fitted.document, origin, setup.datasets))
-    if args.html and origin:
-        from experiments.reports import write_fit
-
-        write_fit(args.html, result, setup.settings.model, setup.datasets, origin)
-    check_sound(result, bool(args.model_out))
-    if args.model_out and origin:
-        from experiments.models import save_model
-        from experiments.reports import model_with_origin
-
-        model = model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets])
-        save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
+    if args.json:
+        found.to_json(args.json)
+    if args.html:
+        found.page(args.html)
+    check_sound(found.estimate, bool(args.model_out))
+    if args.model_out:
+        save_model(model(found), args.model_out)
     return 0

@@ -13,9 +13,8 @@ from estimator.fitting.run_levels import Column, run_levels
 from estimator.likelihood import LatentProblem, Latents, Noise, NoiseScale
 from estimator.model import ImuPlace, leg2
 from estimator.signals import imu_columns, split_signals
-from experiments.models import MechanismSettings
-from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_text import fit_text
+from tests.support.fits import document_of
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, disturbed, move, random_tree, torques
 
@@ -175,7 +174,7 @@ def test_of_two_imus_the_one_that_is_noisier_in_a_run_gets_levels() -> None:
     told = np.array([TIMES if k == NOISY else 1.0 for k in range(RUNS)])
     for name, level in zip(("gyro2_radps", "accel2_y_mps2"), (0.005, 0.05)):
         assert found.run_noise.levels[name] == pytest.approx(level * told, rel=0.15)
-    lines = [line for line in fit_text(found, "leg2").splitlines() if "differs" in line]
+    lines = [line for line in fit_text(document_of(found)).splitlines() if "differs" in line]
     assert any(line.startswith("noise of runs differs: gyro of IMU 2 ") for line in lines)
     truth = tree.beta(mechanism)
     assert np.all(np.abs(found.beta - truth) < 4.0 * found.std)
@@ -183,10 +182,10 @@ def test_of_two_imus_the_one_that_is_noisier_in_a_run_gets_levels() -> None:
 
 def test_levels_by_run_are_told(plant: Plant) -> None:
     found = fits(plant, TIMES, "imu", 1)[0]
-    told = fit_document(found, MechanismSettings(model="leg2", actuated=(2,), lever_arm_m=0.2))["noise_by_run"]
+    told = document_of(found).document["noise_by_run"]
     assert told["runs"] == ["run0", "run1", "run2", "run3"]
     assert found.run_noise is not None
     assert told["levels"]["gyro_radps"] == pytest.approx(found.run_noise.levels["gyro_radps"])
-    line, = (line for line in fit_text(found, "leg2").splitlines() if "gyro" in line and "differs" in line)
+    line, = (line for line in fit_text(document_of(found)).splitlines() if "gyro" in line and "differs" in line)
     assert line.startswith("noise of runs differs: gyro 0.009")
     assert line.endswith("(run1); each run is weighted by its own level")

@@ -11,8 +11,8 @@ from estimator import VERDICTS, Verdict
 from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
+from experiments.documents import DiagnosisDocument
 from experiments.judge.next_steps import RECORD, SENSORS, Files, next_step, variable_of, with_names
-from experiments.reports.diagnosis_json import diagnosis_document
 from experiments.reports.diagnosis_page import verdict_box
 from experiments.reports.diagnosis_text import diagnosis_text
 from tests.support.diagnoses import synthetic
@@ -32,7 +32,7 @@ def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
     found = replace(synthetic(), verdict=verdict)
     step = next_step(found)
     assert "\n" not in step and step in diagnosis_text(found)
-    assert diagnosis_document(found)["next_step"] == step
+    assert DiagnosisDocument.of(found).document["next_step"] == step
     commands = re.findall(r"legid ([a-z]+)(.*?)(?=, then|$)", step)
     assert commands
     for command, words in commands:

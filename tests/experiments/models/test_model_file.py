@@ -20,11 +20,10 @@ from experiments.models.mechanism_settings import build_mechanism, mechanism_set
 from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import MechanismSettings, Model
 from experiments.models.with_effects import widening_of
-from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_text import noise_rows
 from experiments.session.setup import choose_sensors
 from experiments.workflows.compare import parameter_pairs
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 from tests.support.paths import ROOT
 
 RIG = parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]\n[imu]\nlever_arm_m=0.2')
@@ -48,10 +47,10 @@ def test_levels_of_axes_and_joints_are_kept_with_the_common_one() -> None:
     levels = {"torque_nm": 0.03, "torque1_nm": 0.01, "torque2_nm": 0.03, "gyro_radps": 0.005, "accel_mps2": 0.05,
               "accel_x_mps2": 0.03, "accel_y_mps2": 0.064, "accel_correlation": -0.4}
     result = replace(synthetic_fit(), noise=levels)
-    assert fit_document(result, mechanism_settings(RIG))["noise"] == {
+    assert document_of(result).document["noise"] == {
         "torque_nm": 0.03, "torque_nm_by_joint": [0.01, 0.03], "gyro_radps": 0.005, "accel_mps2": 0.05,
         "accel_mps2_by_axis": [0.03, 0.064], "accel_correlation": -0.4}
-    assert [row[:2] for row in noise_rows(result)] == [
+    assert [row[:2] for row in noise_rows(document_of(result))] == [
         ["torque 1", "0.01"], ["torque 2", "0.03"], ["gyro", "0.005"], ["accelerometer x", "0.03"],
         ["accelerometer y", "0.064"], ["their correlation, as given", "-0.4"]]
 
@@ -166,7 +165,7 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_fit_document_is_the_contract() -> None:
-    found = fit_document(synthetic_fit(), mechanism_settings(RIG))
+    found = document_of(synthetic_fit()).document
     first = {"schema", "model", "method", "sensors", "parameters", "noise", "torque_residual_rms_nm", "converged",
              "iterations", "samples", "wall_s"}
     assert first <= set(found) and found["schema"] == "legid.fit/1" and found["model"] == "leg2"

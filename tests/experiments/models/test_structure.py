@@ -11,11 +11,12 @@ import pytest
 from daq.errors import InputError
 from daq.recording.plan import read_plan
 from experiments import cli
+from experiments.documents import finite, learnt_of
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import JointTorque, Model, StructureValues, TableInput, TorqueTable
 from experiments.models.structure import laws_of, structure_values
-from experiments.reports.structure import structure_document, structure_section, structure_words
+from experiments.reports.structure import structure_section, structure_words
 from legid import api
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet
@@ -102,8 +103,8 @@ def test_reports_say_what_it_removes_and_where() -> None:
     found = hidden_magnet()
     words = structure_words(found)
     assert f"removes {100.0 * found.removed:.0f} % [" in words and "joint 2, as a function of angle" in words
-    told = structure_document(found)
-    assert told["removed"] == found.removed and told["where"][0]["depends_on"] == "angle"
-    assert all(row["after"] < row["before"] for row in told["error"])
+    told = learnt_of(found)
+    assert told is not None and told.removed == found.removed and told.where[0].depends_on == "angle"
+    assert all(finite(row.after) < finite(row.before) for row in told.error)
     section = structure_section(found)
     assert len(section.pictures) == len(found.laws[0].tables) and "95 % band" in section.pictures[0].svg

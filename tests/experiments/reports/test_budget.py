@@ -16,11 +16,11 @@ from estimator.result import Budget, BudgetPart, FitResult
 from experiments.judge import fit_trust, model_of, with_fit_trust
 from experiments.judge.trust import Trust
 from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
-from experiments.reports import fit_document, fit_sections, fit_text
+from experiments.reports import fit_sections, fit_text
 from experiments.reports.html import render_page
 from experiments.rig.writer import RigFacts, rig_toml
 from experiments.session.setup import stated_tolerances
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 
 SETTINGS = MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81)
 
@@ -43,18 +43,18 @@ def test_the_first_line_says_how_well_a_parameter_is_known_and_what_to_calibrate
     assert trust.sentence.endswith("Calibrate the torque constant first.")
     advice = next_measurement(budgeted())
     assert advice is not None and advice.source and advice.name == "torque_gain"
-    assert "Write torque_gain = 0.002 under [tolerance]" in fit_text(budgeted(), "leg2")
+    assert "Write torque_gain = 0.002 under [tolerance]" in fit_text(document_of(budgeted()))
 
 
 def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
     found = budgeted(6.0)
-    document = fit_document(found, SETTINGS)
+    document = document_of(found).document
     row = document["budget"][0]
     assert row["parameter"] == "beta1" and row["parts"][0]["source"] == "torque_gain"
     assert sum(part["std"] ** 2 for part in row["parts"]) == pytest.approx(found.std[0] ** 2)
     assert document["tolerances_enlarged"] == {"IMU": 6.0}
-    assert "the runs ask for larger tolerances: IMU 6 times" in fit_text(found, "leg2")
-    page = render_page("Fit", "", fit_sections(found))
+    assert "the runs ask for larger tolerances: IMU 6 times" in fit_text(document_of(found))
+    page = render_page("Fit", "", fit_sections(document_of(found), found))
     assert "What the intervals consist of" in page and "share of the variance" in page
     save_model(model_of(found, SETTINGS, "linear", ["r1"]), tmp_path / "m.json")
     model = load_model(tmp_path / "m.json")
@@ -126,6 +126,6 @@ def test_a_value_that_is_not_known_has_no_share_above_the_whole() -> None:
     wide = BudgetPart("encoder_offset@1", 14.0 * found.beta[None, :], (0.1,))
     lost = replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
                    covariance=found.covariance + wide.covariance)
-    line = next(line for line in fit_text(lost, "leg2").splitlines() if line.startswith("budget:"))
+    line = next(line for line in fit_text(document_of(lost)).splitlines() if line.startswith("budget:"))
     assert line.startswith("budget: beta1 is not known: its interval is wider than its value, most by encoder offset 1")
     assert "%" not in line

@@ -4,15 +4,14 @@ import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
-import msgspec
 import numpy as np
 import pytest
 
 from estimator import Verdict
 from estimator.diagnosis.result import Diagnosis, Remainder, SensorGain, ShortRuns
 from estimator.model import leg2
+from experiments.documents import DiagnosisDocument
 from experiments.reports.diagnosis_figures import axis_label, signature_limits
-from experiments.reports.diagnosis_json import diagnosis_document
 from experiments.reports.diagnosis_page import diagnosis_sections, verdict_box, verdict_words
 from experiments.reports.diagnosis_text import diagnosis_text, key_label
 from experiments.reports.html import render_page, typeset
@@ -26,11 +25,11 @@ def page() -> str:
 
 
 def test_document_is_the_contract() -> None:
-    found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
+    found = DiagnosisDocument.of(synthetic()).document
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
             "error", "compared", "structure", "stability", "probability", "probability_in_library", "rotations",
-            "set_aside", "within_tolerance", "readings"} == set(found)
+            "set_aside", "within_tolerance", "readings", "damaged"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97], "of_error": 0.8, "of_error_ci95": [0.7, 0.87]}
@@ -53,7 +52,7 @@ def test_document_is_the_contract() -> None:
         "torque_rms_nm": {"before": [0.01, 0.05], "after": [0.01, 0.02]}, "gap_closed": 0.9,
         "gap_closed_ci95": [0.8, 0.97]}
     short = ShortRuns(1.0, {"q1_rad": SensorGain(0.02, 0.01, 0.009)}, 0.9, (0.7, 1.0))
-    pieces = diagnosis_document(replace(synthetic(), short=short))["gain"]["pieces"]
+    pieces = DiagnosisDocument.of(replace(synthetic(), short=short)).document["gain"]["pieces"]
     assert pieces == {"horizon_s": 1.0, "rmse": {"q1_rad": {"before": 0.02, "after": 0.01, "floor": 0.009}},
                       "gap_closed": 0.9, "gap_closed_ci95": [0.7, 1.0]}
     assert "pieces of 1 s" in diagnosis_text(replace(synthetic(), short=short))
@@ -63,7 +62,7 @@ def test_document_is_the_contract() -> None:
 @pytest.mark.parametrize(("probability", "told"), [(0.874, "0.87"), (1.0, "above 0.99"), (None, "")])
 def test_an_answer_states_its_probability_and_the_condition(probability: float | None, told: str) -> None:
     found = replace(synthetic(), probability=None if probability is None else 0.856, in_library=probability)
-    document = diagnosis_document(found)
+    document = DiagnosisDocument.of(found).document
     assert (document["probability"], document["probability_in_library"]) == (found.probability, probability)
     line = f"Probability of this answer: 0.86, as on simulated legs; {told} if the library has the true causes."
     for text in (diagnosis_text(found), " ".join(verdict_box(found).lines)):
@@ -72,7 +71,7 @@ def test_an_answer_states_its_probability_and_the_condition(probability: float |
 
 def test_joints_are_those_of_the_contract() -> None:
     # The contract gives a rotor no joint, the library does; what is tested at the knee is testable.
-    found = diagnosis_document(synthetic())
+    found = DiagnosisDocument.of(synthetic()).document
     assert [c["joint"] for c in found["candidates"]] == [2, 2, None, None]
     assert [(row["effect"], row["joint"]) for row in found["not_testable"]] == [("torque_gain", None), ("backlash", 1)]
     assert key_label("rotor_inertia@2") == "rotor_inertia" and key_label("q2 in gyro") == "q2 in gyro"
@@ -146,7 +145,7 @@ def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
 def test_a_nominal_simulation_that_diverges_has_no_number() -> None:
     whole = synthetic()
     found = replace(whole, sensors={**whole.sensors, "q2_rad": SensorGain(np.inf, 0.02, 0.015)})
-    assert diagnosis_document(found)["gain"]["free_run_rmse"]["q2_rad"] == {"before": None, "after": 0.02,
+    assert DiagnosisDocument.of(found).document["gain"]["free_run_rmse"]["q2_rad"] == {"before": None, "after": 0.02,
                                                                            "floor": 0.015}
     text = diagnosis_text(found)
     assert "diverged" in text and "extension closes 90 % of the gap in mean square" in text
@@ -163,7 +162,7 @@ def test_verdicts_with_less_to_show(verdict: Verdict) -> None:
         page = render_page(verdict_words(verdict), found.sentence, diagnosis_sections(found))
         assert "No more than this." in page or whole.sentence in page
         assert "The extension closes" not in page and "nan<" not in page and ">None<" not in page
-        document = diagnosis_document(found)
+        document = DiagnosisDocument.of(found).document
         assert document["verdict"] == verdict and document["gain"]["gap_closed"] is None and document["causes"] == []
         assert diagnosis_text(found).startswith(found.sentence)
 

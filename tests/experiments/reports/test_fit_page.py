@@ -18,7 +18,7 @@ from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, render_page, typeset
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 from tests.support.pages import Outside, allowed_script
 
 
@@ -26,8 +26,9 @@ from tests.support.pages import Outside, allowed_script
 def page() -> str:
     result = synthetic_fit()
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
-    return render_page("Leg <A> & co", fit_summary(result, "leg2"),
-                       [*fit_sections(result), truth_section(result.mechanism, estimates_of(result), truth)])
+    return render_page("Leg <A> & co", fit_summary(document_of(result)),
+                       [*fit_sections(document_of(result), result),
+                        truth_section(result.mechanism, estimates_of(result), truth)])
 
 
 def test_page_fetches_nothing_and_runs_its_own_script_alone(page: str) -> None:
@@ -121,7 +122,7 @@ def test_an_angle_keeps_its_symbol_in_a_caption() -> None:
     path = synthetic_fit().trajectories[0]
     angles = {"q1_rad": path.q[:, 0], "q2_rad": path.q[:, 1]}
     fit = replace(synthetic_fit(), sensors="encoder", trajectories=(replace(path, measured=angles, predicted=angles),))
-    captions = [picture.caption for section in fit_sections(fit) for picture in section.pictures]
+    captions = [picture.caption for section in fit_sections(document_of(fit), fit) for picture in section.pictures]
     assert [text[:18] for text in captions if "as estimated" in text] == ["Angle q1, measured", "Angle q2, measured"]
 
 
@@ -137,9 +138,9 @@ def test_unconverged_and_undetermined_fits_say_so() -> None:
     covariance = result.covariance.copy()
     covariance[7, 7] = np.inf
     result = replace(result, covariance=covariance, trajectories=())
-    page = render_page("x", fit_summary(result, "leg2"), fit_sections(result))
+    page = render_page("x", fit_summary(document_of(result)), fit_sections(document_of(result), result))
     assert "DID NOT CONVERGE" in page and "beta8 -0.5*beta6" in page and "Warning: few samples" in page
-    text = fit_text(result, "leg2")
+    text = fit_text(document_of(result))
     assert "NOT CONVERGED" in text and "not determined by this data: beta8" in text
     assert result.open_parameters == {"beta6", "beta8"}
     assert "nan" not in text.lower() and "inf" not in text.lower().replace("infinite", "")
@@ -173,7 +174,8 @@ def test_units_follow_the_joint_and_its_input() -> None:
         p = mechanism.p
         result = FitResult(mechanism, "wls", "encoder", np.ones(p), np.eye(p), {"torque_nm": 0.1, "encoder_rad": 0.2},
                            np.array([0.1]), True, 1, 100, 0.0)
-        return fit_text(result, "joint1") + fit_summary(result, "joint1")
+        document = document_of(result, "joint1")
+        return fit_text(document) + fit_summary(document)
 
     slide, servo = text(joint1(prismatic=True, gravity_mps2=0.0)), text(joint1(voltage=True))
     assert "torque 0.1 N," in slide and "encoder 0.2 m" in slide and "volt" not in slide
@@ -204,7 +206,7 @@ def test_what_rings_at_rest_does_not_set_the_axis() -> None:
     """Dry friction may hold a resting joint against anything, so the model's torque is not known there."""
     for ringing in (5.0, 0.0):
         result = at_rest_first(ringing)
-        (section,) = [s for s in fit_sections(result) if s.title == "Torques"]
+        (section,) = [s for s in fit_sections(document_of(result), result) if s.title == "Torques"]
         for j, picture in enumerate(section.pictures):
             assert picture.chart is not None
             lines = {line.label: line.values for line in picture.chart.lines}
@@ -220,7 +222,8 @@ def test_what_rings_at_rest_does_not_set_the_axis() -> None:
                 assert json.loads(picture.chart.json)["range"] == pytest.approx([low, high])
             elif j == 1:
                 assert picture.chart.y_range is None and "cut" not in picture.caption
-    page = render_page("x", "y", fit_sections(at_rest_first(5.0)))
+    result = at_rest_first(5.0)
+    page = render_page("x", "y", fit_sections(document_of(result), result))
     assert "scatters to 5" in page
 
 

@@ -29,7 +29,7 @@ from experiments.session import prepare
 from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
 from studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import FIXTURES
@@ -47,13 +47,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One page of each kind, by what writes them for a user."""
     out = tmp_path_factory.mktemp("pages")
     result, found = synthetic_fit(), synthetic()
-    write_page(out / "fit.html", "Fit of leg2: run1.mcap", fit_summary(result, "leg2"), fit_sections(result))
+    write_page(out / "fit.html", "Fit of leg2: run1.mcap", fit_summary(document_of(result)),
+               fit_sections(document_of(result), result))
     prepared = prepare([FIXTURES / "healthy.mcap"], load_rig(RIG))
     write_diagnosis(out / "diagnosis.html", found, prepared, origin_of([FIXTURES / "healthy.mcap"]))
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
                [Section("What was hidden", ["Something."]), *diagnosis_sections(found),
-                truth_section(result.mechanism, estimates_of(result), truth), *fit_sections(result)])
+                truth_section(result.mechanism, estimates_of(result), truth),
+                *fit_sections(document_of(result), result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))
     diagnose = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("stribeck_friction",))
     write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")], [],
@@ -207,7 +209,8 @@ def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: B
     p = plain.mechanism.p
     agreement = RunAgreement(runs, 1e-4, plain.std, True, np.full(p, 2.4), plain.beta, np.full(p, 1.234e-4),
                              np.tile(plain.beta, (len(runs), 1)), np.ones(p, dtype=bool))
-    write_page(tmp_path / "fit.html", "Fit", "", fit_sections(replace(plain, agreement=agreement)))
+    found = replace(plain, agreement=agreement)
+    write_page(tmp_path / "fit.html", "Fit", "", fit_sections(document_of(found), found))
     for width in (1400, 1180, 1130, 900):
         browser.resize((width, 900))
         browser.driver.get((tmp_path / "fit.html").as_uri())

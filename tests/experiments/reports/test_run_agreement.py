@@ -10,12 +10,10 @@ import pytest
 
 from estimator.result import FitResult, RunAgreement
 from experiments.judge.trust import fit_trust
-from experiments.models.schema import MechanismSettings
-from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_page import fit_sections
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import render_page
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 
 RUNS = ("a.csv", "b.csv", "c.csv")
 
@@ -42,7 +40,7 @@ def disputed() -> FitResult:
 
 
 def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> None:
-    text = fit_text(disputed, "leg2")
+    text = fit_text(document_of(disputed))
     assert ("3 runs disagree by more than their noise (p = 2e-05): intervals allow for it, 2.2 times as wide as by "
             "noise alone\nruns disagree about beta9 (Coulomb friction, knee): 0.100 .. 0.140, scatter 0.021 about "
             "0.117; interval widened 2.2 times") in text
@@ -51,28 +49,28 @@ def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> N
 
 
 def test_runs_that_agree_and_one_alone_say_so() -> None:
-    assert "3 runs agree within their noise (p = 0.3)" in fit_text(with_runs(), "leg2")
-    assert "one run gives no scatter between runs" in fit_text(with_runs(p_value=None, runs=RUNS[:1]), "leg2")
-    assert "runs" not in fit_text(synthetic_fit(), "leg2").replace("ran ", "")
+    assert "3 runs agree within their noise (p = 0.3)" in fit_text(document_of(with_runs()))
+    assert "one run gives no scatter between runs" in fit_text(document_of(with_runs(p_value=None, runs=RUNS[:1])))
+    assert "runs" not in fit_text(document_of(synthetic_fit())).replace("ran ", "")
 
 
 def test_the_json_says_what_each_run_says(disputed: FitResult) -> None:
-    settings = MechanismSettings(model="leg2", actuated=(2,), lever_arm_m=0.2)
-    found = fit_document(disputed, settings)["agreement"]
+    found = document_of(disputed).document["agreement"]
     assert found["runs"] == list(RUNS) and found["disagree"] and found["p_value"] == 2e-5
     knee = found["parameters"][8]
     assert knee["name"] == "beta9" and knee["by_run"] == [0.10, 0.11, 0.14] and knee["seen"]
     assert knee["widened"] == pytest.approx(4.303 / 1.959964)
     given = replace(disputed, fixed={"beta9": 0.1})
-    assert "beta9" not in [p["name"] for p in fit_document(given, settings)["agreement"]["parameters"]]
-    assert fit_document(with_runs(), settings)["agreement"]["parameters"] == []
-    assert fit_document(synthetic_fit(), settings)["agreement"] is None
+    assert "beta9" not in [p["name"] for p in document_of(given).document["agreement"]["parameters"]]
+    assert document_of(with_runs()).document["agreement"]["parameters"] == []
+    assert document_of(synthetic_fit()).document["agreement"] is None
 
 
 def test_the_page_has_a_column_for_each_run(disputed: FitResult) -> None:
-    page = render_page("fit", "", fit_sections(disputed))
+    page = render_page("fit", "", fit_sections(document_of(disputed), disputed))
     assert "Do the runs agree?" in page and all(run in page for run in RUNS)
-    assert "Do the runs agree?" not in render_page("fit", "", fit_sections(synthetic_fit()))
+    plain = synthetic_fit()
+    assert "Do the runs agree?" not in render_page("fit", "", fit_sections(document_of(plain), plain))
 
 
 def test_the_first_line_is_careful_where_runs_disagree(disputed: FitResult) -> None:

@@ -10,12 +10,10 @@ import pytest
 from estimator.methods import ResultMethod
 from estimator.result import FitResult, HeldOut, OmittedEffect, SecondOpinion
 from experiments.judge.trust import fit_trust
-from experiments.models.schema import MechanismSettings
-from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_page import fit_sections
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import render_page
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 
 
 def with_opinion(times: float, held_out: HeldOut | None = None, reported: ResultMethod = "mle") -> FitResult:
@@ -34,7 +32,7 @@ def test_estimators_that_agree_take_a_line_and_no_warning() -> None:
     found = with_opinion(1.23)
     assert fit_trust(found).sentence == fit_trust(replace(found, second_opinion=None)).sentence
     assert ("second opinion, by multiple shooting: largest disagreement 1.2 half widths, in beta2; not compared: beta9"
-            in fit_text(found, "leg2").splitlines())
+            in fit_text(document_of(found)).splitlines())
 
 
 @pytest.mark.parametrize(("held_out", "told"), [
@@ -69,7 +67,7 @@ def test_a_reported_second_opinion_cancels_no_failed_check() -> None:
 
 def test_json_and_page_have_both_estimates() -> None:
     found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
-    document = fit_document(found, MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81))
+    document = document_of(found).document
     opinion = document["second_opinion"]
     assert (document["method"], opinion["method"], opinion["reported"]) == ("shooting", "mle", "shooting")
     assert opinion["disagreement"] == 36.0 and opinion["not_compared"] == ["beta9"]
@@ -77,7 +75,6 @@ def test_json_and_page_have_both_estimates() -> None:
     row = opinion["parameters"][1]
     assert row["name"] == "beta2" and row["disagreement"] == 36.0 and len(opinion["parameters"]) == 8
     assert found.second_opinion is not None and row["value"] == found.second_opinion.beta[1]
-    assert fit_document(synthetic_fit(), MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81)
-                        )["second_opinion"] is None
-    page = render_page("Fit", "", fit_sections(found))
+    assert document_of(synthetic_fit()).document["second_opinion"] is None
+    page = render_page("Fit", "", fit_sections(document_of(found), found))
     assert "Second opinion" in page and "maximum likelihood" in page

@@ -11,14 +11,13 @@ from daq.errors import InputError
 from daq.rig import load_rig, parse_rig
 from daq.runs.csv_run import read_csv
 from estimator.result import Finding
+from experiments.documents import FitDocument
 from experiments.judge.trust import fit_trust
-from experiments.models import mechanism_settings
-from experiments.reports.fit_json import fit_document
 from experiments.session import prepare
 from experiments.session.flags import contradictions, require_one_rig
 from experiments.session.runs import load_runs
 from experiments.workflows.fit import fit_runs
-from tests.support.fits import synthetic_fit
+from tests.support.fits import document_of, synthetic_fit
 from tests.support.paths import FIXTURES
 from tests.support.prescribed import ARM_RIG, arm_run, negated, written
 
@@ -83,7 +82,7 @@ def test_findings_of_a_fit_have_their_kind_and_stand_in_its_document() -> None:
     kinds = [one.kind for one in fitted.result.findings]
     assert kinds[0] == "run_set_aside" and fitted.result.warnings[0] == str(fitted.aside[0])
     assert kinds.count("choice") == len([c for c in fitted.choices if c.key != "friction_velocity_radps"])
-    document = fitted.document
+    document = fitted.as_document(FitDocument).document
     assert {"role": "warning", "kind": "run_set_aside", "text": str(fitted.aside[0])} in document["findings"]
     assert document["assumptions"][-kinds.count("choice"):] == [
         one.text for one in fitted.result.findings if one.kind == "choice"] or "choice" not in kinds
@@ -101,5 +100,4 @@ def test_a_fault_of_the_columns_is_the_first_line() -> None:
     said = replace(sound, findings=(Finding("warning", "rig_contradiction", "run1 was recorded with x = 1"),))
     assert fit_trust(said).sentence == "DO NOT TRUST the parameters: the rig file contradicts a run."
     assert fit_trust(said).reasons[0] == "The rig file contradicts a run: run1 was recorded with x = 1."
-    settings = mechanism_settings(load_rig(FIXTURES / "rig.toml"))
-    assert fit_document(told, settings)["trust"]["level"] == "bad"
+    assert document_of(told).trust.level == "bad"

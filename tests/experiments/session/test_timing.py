@@ -36,7 +36,7 @@ def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
     np.testing.assert_array_equal(again.setup.datasets[0]["tau2_nm"], prepared.setup.datasets[0]["tau2_nm"])
     found = legid.fit(runs, rig)
     assert found.beta[:5] == pytest.approx(leg.beta()[:5], rel=1e-2)
-    assert not any(one.effect == "torque_delay" for one in found.omitted)
+    assert not any(one.effect == "torque_delay" for one in found.estimate.omitted)
 
 
 @pytest.mark.parametrize(("period_s", "hold"), [

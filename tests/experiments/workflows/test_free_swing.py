@@ -13,7 +13,7 @@ from daq.runs.csv_run import write_csv
 from estimator import FitOptions, fit
 from estimator.model import leg2
 from experiments.cli import main
-from experiments.reports.friction_form import friction_lines
+from experiments.judge.friction_form import friction_shares
 from tests.support.free_swing import swing
 from tests.support.mujoco_leg import Leg, random_leg
 
@@ -61,9 +61,9 @@ def test_no_share_is_told_where_a_fit_finds_no_friction(leg: Leg) -> None:
     """A hand that gives energy back, say: both terms end at their bounds."""
     run = swing(leg, np.random.default_rng(78), STARTS[0], seconds=5.0, torque=False)
     found = fit([run], leg2(actuated=()), FitOptions(sensors="encoder", fixed={"beta5": leg.beta()[4]}))
-    assert [line[:19] for line in friction_lines(found)] == ["friction of joint 1", "friction of joint 2"]
-    (line,) = friction_lines(replace(found, beta=np.array([*found.beta[:6], 0.0, found.beta[7], 0.0])))
-    assert line.startswith("friction of joint 1")
+    assert [one.joint for one in friction_shares(found)] == [1, 2]
+    (one,) = friction_shares(replace(found, beta=np.array([*found.beta[:6], 0.0, found.beta[7], 0.0])))
+    assert one.joint == 1
 
 
 def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]

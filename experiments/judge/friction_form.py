@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from daq import FloatArray
 from estimator import FitResult
 
 
-def friction_lines(result: FitResult) -> list[str]:
-    """A line for each joint: share of Coulomb friction in the energy that friction dissipates, with its 95 % interval.
+class FrictionShare(NamedTuple):
+    """Share of Coulomb friction in the energy that the friction of a joint dissipates."""
+
+    joint: int
+    """From 1."""
+    coulomb: float
+    low: float
+    """Of its 95 % interval, as `high`; both within 0 and 1."""
+    high: float
+
+
+def friction_shares(result: FitResult) -> list[FrictionShare]:
+    """One for each joint with both terms.
 
     Empty if a joint is driven, since the motor's power hides the dissipation, or if neither term is positive.
     """
     if result.mechanism.actuated or not result.trajectories:
         return []
     qd = np.concatenate([path.qd for path in result.trajectories])
-    lines = []
+    found = []
     for j in range(result.mechanism.n):
         columns = [k for k, p in enumerate(result.mechanism.parameters)
                    if p.term in ("coulomb", "viscous") and p.at[0] == j]
@@ -25,10 +38,8 @@ def friction_lines(result: FitResult) -> list[str]:
             continue
         share, half = coulomb_share(result, columns, qd[:, j])
         low, share, high = np.clip([share - half, share, share + half], 0.0, 1.0)
-        lines.append(f"friction of joint {j + 1}: its Coulomb part takes {100 * share:.0f} % [{100 * low:.0f}, "
-                     f"{100 * high:.0f}] of the energy that friction takes, its viscous part the rest; legid diagnose "
-                     "tells whether another form is missing")
-    return lines
+        found.append(FrictionShare(j + 1, float(share), float(low), float(high)))
+    return found
 
 
 def coulomb_share(result: FitResult, columns: list[int], qd: FloatArray) -> tuple[float, float]:

@@ -1,0 +1,170 @@
+"""`legid.diagnosis/1`: what a simulation gets wrong and why, as `legid diagnose --json` writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+from msgspec import UNSET, Meta, Struct, field
+
+from daq import Dataset
+from estimator import Verdict
+from estimator.diagnosis import MATERIAL, Diagnosis, SensorGain
+from experiments.documents.diagnosis_parts import (
+    GainOnHeldOut,
+    Learnt,
+    NamedCause,
+    Place,
+    Residual,
+    Scored,
+    Share,
+    Small,
+    cause_of,
+    contract_joint,
+    gain_of,
+    gains_of,
+    learnt_of,
+    scored_of,
+    split_key,
+    untestable,
+)
+from experiments.documents.document import Damaged, Document, From, Number, known
+from experiments.judge import next_step
+from experiments.session import SetAside, damaged_runs, faulty_readings
+
+
+class Rotated(Struct, frozen=True, kw_only=True):
+    """One rotation of the split."""
+
+    confirm_runs: Annotated[tuple[str, ...], Meta(description="held out")]
+    sizes: Annotated[dict[str, Number], Meta(description="fitted to the others, by `effect@joint.size`")]
+    falls: Annotated[bool, Meta(description="whether the error falls by `material`")]
+
+
+class Before(Struct, frozen=True, kw_only=True):
+    """Error before and after."""
+
+    before: Annotated[Number, Meta(description="of the nominal model")]
+    after: Annotated[Number, Meta(description="of the extended one")]
+
+
+class Named(Struct, frozen=True, kw_only=True):
+    """One effect of an explanation."""
+
+    effect: Annotated[str, Meta(description="of the library")]
+    joint: Place
+
+
+class Explanation(Struct, frozen=True, kw_only=True):
+    """One explanation that was compared."""
+
+    causes: Annotated[tuple[Named, ...], Meta(description="its effects")]
+    error: Annotated[Number, Meta(description="on the held-out runs, as `error`")]
+
+
+class Parameters(Struct, frozen=True, kw_only=True):
+    """Values of both models."""
+
+    nominal: Annotated[dict[str, Number], Meta(description="by parameter")] = field(default_factory=dict)
+    extended: Annotated[dict[str, Number], Meta(description="by parameter; empty without a cause")] = field(
+        default_factory=dict)
+
+
+class NotTestable(Struct, frozen=True, kw_only=True):
+    """One effect that these runs cannot test."""
+
+    effect: Annotated[str, Meta(description="of the library")]
+    joint: Place
+    why: Annotated[str, Meta(description="the reason")]
+
+
+class Groups(Struct, frozen=True, kw_only=True):
+    """Use of the runs."""
+
+    fit: Annotated[tuple[str, ...], Meta(description="train runs")] = ()
+    screen: Annotated[tuple[str, ...], Meta(description="empty")] = ()
+    confirm: Annotated[tuple[str, ...], Meta(description="test runs")] = ()
+
+
+class DiagnosisDocument(Document, kw_only=True):
+    """Errors of a simulation, their causes, and the gain of extending the model."""
+
+    schema: Annotated[Literal["legid.diagnosis/1"], Meta(description="of this document")] = "legid.diagnosis/1"
+    verdict: Annotated[Verdict, Meta(
+        description="none, named, partial, one_of, unexplained, or fit_failed: no diagnosis is possible")]
+    sentence: Annotated[str, Meta(description="the verdict for people")] = ""
+    causes: Annotated[tuple[NamedCause, ...], Meta(description="named, or possible")] = ()
+    candidates: Annotated[tuple[Scored, ...], Meta(description="every effect of the library")] = ()
+    gain: Annotated[GainOnHeldOut, Meta(description="errors on held-out runs")]
+    material: Annotated[float, Meta(description="smallest relative reduction of the rms error that counts")] = MATERIAL
+    budget: Annotated[tuple[Share, ...], Meta(description="parts of the error")] = ()
+    immaterial: Annotated[tuple[NamedCause, ...], Meta(
+        description="present causes that lower the error by less than `material`")] = ()
+    within_tolerance: Annotated[tuple[Small, ...], Meta(description="small faults, taken off first")] = ()
+    remainder: Annotated[Residual | None, Meta(description="place of the residual")] = None
+    structure: Annotated[Learnt | None, Meta(description="of the residual, or null")] = None
+    probability: Annotated[Number, Meta(description="that the answer is true, [as on simulated legs]"
+                                        "(docs/evidence/causes.md); null if `unexplained`")] = None
+    probability_in_library: Annotated[Number, Meta(description="the same if the library has the causes")] = None
+    stability: Annotated[Number, Meta(description="share of the rotations in which the error falls")] = None
+    rotations: Annotated[tuple[Rotated, ...], Meta(
+        description="if rotated: `budget` and `error` are then of all runs")] = ()
+    error: Annotated[Before | None, Meta(description="rms error in units of noise alone")] = None
+    compared: Annotated[tuple[Explanation, ...], Meta(description="explanations, the least error first")] = ()
+    parameters: Annotated[Parameters, Meta(description="of both models")] = Parameters()
+    not_testable: Annotated[tuple[NotTestable, ...], Meta(description="effects that these runs cannot test")] = ()
+    runs: Annotated[Groups, Meta(description="their use")] = Groups()
+    warnings: Annotated[tuple[str, ...], Meta(description="for people")] = ()
+    next_experiment: Annotated[str, Meta(description="to tell more")] = ""
+    next_step: Annotated[str, Meta(description="place, action and command")] = ""
+    wall_s: Annotated[float, Meta(description="time that the diagnosis took [s]")] = 0.0
+    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    readings: Annotated[tuple[dict[str, object], ...], Meta(description="as in a fit")] = ()
+    damaged: Damaged = ()
+    provenance: From = UNSET
+
+    @classmethod
+    def of(cls, found: Diagnosis, set_aside: Sequence[SetAside] = (), used: Sequence[Dataset] = ()) -> Self:
+        """The document of a diagnosis of the runs `used`."""
+        return cls(
+            verdict=found.verdict, sentence=found.sentence, causes=tuple(map(cause_of, found.causes)),
+            candidates=tuple(map(scored_of, found.candidates)), gain=gain_of(found), material=found.material,
+            budget=tuple(Share(what=row.what, effect=row.effect,
+                               joint=None if row.effect is None else contract_joint(row.effect, row.joint),
+                               share=known(row.share), ci95=row.ci95, of_error=known(row.of_error),
+                               of_error_ci95=row.of_error_ci95) for row in found.budget),
+            immaterial=tuple(map(cause_of, found.immaterial)),
+            within_tolerance=tuple(Small(effect=one.effect, joint=contract_joint(one.effect, one.joint), name=one.name,
+                                         unit=one.unit, value=one.value, tolerance=one.tolerance)
+                                   for one in found.within_tolerance),
+            remainder=None if found.remainder is None else Residual(
+                joint=found.remainder.joint, channel=found.remainder.channel, depends_on=found.remainder.depends_on),
+            structure=learnt_of(found.structure), probability=found.probability,
+            probability_in_library=found.in_library, stability=found.stability,
+            rotations=tuple(Rotated(confirm_runs=r.runs, sizes=dict(r.sizes), falls=r.falls) for r in found.rotations),
+            error=None if found.error is None else Before(before=known(found.error[0]), after=known(found.error[1])),
+            compared=tuple(Explanation(causes=tuple(
+                Named(effect=effect, joint=contract_joint(effect, joint)) for effect, joint in map(split_key, keys)),
+                error=known(error)) for keys, error in found.compared),
+            parameters=Parameters(nominal=dict(found.nominal), extended=dict(found.extended)),
+            not_testable=tuple(NotTestable(effect=effect, joint=contract_joint(effect, joint), why=why)
+                               for effect, joint, why in untestable(found)),
+            runs=Groups(**{group: tuple(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")}),
+            warnings=found.warnings, next_experiment=found.next_experiment, next_step=next_step(found),
+            wall_s=found.wall_s, set_aside=tuple(set_aside), readings=tuple(faulty_readings(used)),
+            damaged=tuple(damaged_runs(used)))
+
+    @property
+    def sensors(self) -> dict[str, SensorGain]:
+        """Free-run errors on the held-out runs by sensor; infinite where the nominal simulation diverges."""
+        return gains_of(self.gain.free_run_rmse)
+
+    @property
+    def confirm_runs(self) -> tuple[str, ...]:
+        """Names of the held-out runs."""
+        return self.gain.confirm_runs
+
+    @property
+    def gap_closed(self) -> Number:
+        """Share of the gap to noise alone that the extension closes, of mean squares; None where there is none."""
+        return self.gain.gap_closed

@@ -1,0 +1,224 @@
+"""Parts of `legid.diagnosis/1`: causes, candidates, errors on held-out runs, shares of the error, structure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from typing import Annotated
+
+import numpy as np
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from estimator.diagnosis import CandidateScore, Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis import Cause as PlainCause
+from estimator.prediction import Structure as PlainStructure
+from estimator.prediction import where_of
+from experiments.documents.document import Number, finite, known
+
+Interval = Annotated[tuple[Number, Number], Meta(description="its 95 % interval")]
+Place = Annotated[int | None, Meta(description="from 1; null for IMU, base, rotor, timing, or an only motor")]
+WHOLE_RIG = frozenset({"rotor_inertia"})
+"""Effects that the library places at a joint and the contract does not."""
+
+
+class CauseSize(Struct, frozen=True, kw_only=True):
+    """One size of a cause."""
+
+    name: Annotated[str, Meta(description="the size")]
+    unit: Annotated[str, Meta(description="its unit")]
+    value: Annotated[float, Meta(description="in the unit")]
+    ci95: Interval
+
+
+class NamedCause(Struct, frozen=True, kw_only=True):
+    """One named, or possible, cause."""
+
+    effect: Annotated[str, Meta(description="of the library (`legid effects`)")]
+    joint: Place
+    meaning: Annotated[str, Meta(description="in words")]
+    size: Annotated[tuple[CauseSize, ...], Meta(description="one entry a size")]
+    p_value: Annotated[float, Meta(description="over all effects tried")]
+    confusable_with: Annotated[tuple[str, ...], Meta(description="effects that look much like it in these runs")] = ()
+
+
+class Scored(Struct, frozen=True, kw_only=True):
+    """One effect of the library, scored before any fit of it."""
+
+    effect: Annotated[str, Meta(description="of the library")]
+    joint: Place
+    score: Annotated[float, Meta(description="like a number of standard deviations")]
+    p_value: Annotated[float, Meta(description="over all effects tried")]
+    size: Annotated[Number, Meta(description="one-step estimate of its first size")]
+    smallest_detectable: Annotated[Number, Meta(description="size; null: these runs cannot test it")]
+    unit: Annotated[str, Meta(description="of both")]
+
+
+class Errors(Struct, frozen=True, kw_only=True):
+    """Free-run rms errors of one sensor."""
+
+    before: Annotated[Number, Meta(description="of the nominal model; null if diverged")]
+    after: Annotated[Number, Meta(description="of the extended one")]
+    floor: Annotated[Number, Meta(description="of noise alone")]
+
+
+class Pieces(Struct, frozen=True, kw_only=True):
+    """The same over pieces."""
+
+    horizon_s: Annotated[float, Meta(description="their length [s]")]
+    rmse: Annotated[dict[str, Errors], Meta(description="by sensor")]
+    gap_closed: Annotated[Number, Meta(description="as that of whole runs")]
+    gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")]
+
+
+class Torques(Struct, frozen=True, kw_only=True):
+    """Residual torques by joint."""
+
+    before: Annotated[tuple[Number, ...], Meta(description="of the nominal model")] = ()
+    after: Annotated[tuple[Number, ...], Meta(description="of the extended one")] = ()
+
+
+class GainOnHeldOut(Struct, frozen=True, kw_only=True):
+    """Errors on held-out runs, before and after."""
+
+    confirm_runs: Annotated[tuple[str, ...], Meta(description="held out")]
+    free_run_rmse: Annotated[dict[str, Errors], Meta(
+        description="by sensor, as of `legid validate EXTENDED --against NOMINAL`")]
+    torque_rms_nm: Annotated[Torques, Meta(description="residual torque, rms by joint")]
+    gap_closed: Annotated[Number, Meta(description="share of the gap to noise alone, of mean squares (texts: rms)")
+                          ] = None
+    gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")] = None
+    pieces: Annotated[Pieces | UnsetType, Meta(description="the same of pieces, if needed")] = UNSET
+
+
+class Share(Struct, frozen=True, kw_only=True):
+    """One part of the error."""
+
+    what: Annotated[str, Meta(description="`nominal`, `cause`, `remainder` or `noise`")]
+    effect: Annotated[str | None, Meta(description="of a cause")]
+    joint: Place
+    share: Annotated[Number, Meta(description="of the mean square beyond noise")]
+    ci95: Annotated[tuple[Number, Number], Meta(description="its 95 % interval")]
+    of_error: Annotated[Number, Meta(description="of all of it")] = 0.0
+    of_error_ci95: Annotated[tuple[Number, Number], Meta(description="its 95 % interval")] = (0.0, 0.0)
+
+
+class Small(Struct, frozen=True, kw_only=True):
+    """One size of a sensor's fault within its tolerance."""
+
+    effect: Annotated[str, Meta(description="of the library")]
+    joint: Place
+    name: Annotated[str, Meta(description="the size")]
+    unit: Annotated[str, Meta(description="of both")]
+    value: Annotated[float, Meta(description="taken off")]
+    tolerance: Annotated[float, Meta(description="1 sigma")]
+
+
+class Residual(Struct, frozen=True, kw_only=True):
+    """Place of the residual."""
+
+    joint: Annotated[int | None, Meta(description="from 1; null for a sensor of the whole rig")]
+    channel: Annotated[str, Meta(description="where it is largest")]
+    depends_on: Annotated[str, Meta(description="what it is a function of")]
+
+
+class LearntPlace(Struct, frozen=True, kw_only=True):
+    """One learnt torque."""
+
+    joint: Annotated[int, Meta(description="from 1")]
+    depends_on: Annotated[str, Meta(description="its inputs")]
+    rms_nm: Annotated[float, Meta(description="rms torque")]
+    noise_nm: Annotated[float, Meta(description="noise level there")]
+
+
+class ErrorOver(Struct, frozen=True, kw_only=True):
+    """Free-run error of one sensor over one horizon."""
+
+    channel: Annotated[str, Meta(description="the sensor")]
+    horizon_s: Annotated[Number, Meta(description="length [s]; null: whole segments")]
+    before: Annotated[Number, Meta(description="rms error without the structure")]
+    after: Annotated[Number, Meta(description="with it")]
+
+
+class Learnt(Struct, frozen=True, kw_only=True):
+    """Torques without a listed cause that repeat in all runs."""
+
+    removed: Annotated[float, Meta(description="share of the error on left-out runs")]
+    removed_ci95: Annotated[tuple[Number, ...], Meta(description="its 95 % interval; may be empty")]
+    where: Annotated[tuple[LearntPlace, ...], Meta(description="the largest first")]
+    error: Annotated[tuple[ErrorOver, ...], Meta(description="one entry a sensor and horizon")]
+
+
+def contract_joint(effect: str, joint: int | None) -> int | None:
+    """The joint as the contract counts it: null for what belongs to the whole rig."""
+    return None if effect in WHOLE_RIG else joint
+
+
+def split_key(key: str) -> tuple[str, int | None]:
+    """(effect, joint from 1 or None) of the estimator's key `effect@joint`."""
+    name, _, joint = key.partition("@")
+    return name, int(joint) if joint else None
+
+
+def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
+    """(effect, joint from 1 or None, why) of what these runs cannot test."""
+    tested = {candidate.effect for candidate in found.candidates}
+    rows = [(*split_key(key), why) for key, why in found.not_testable.items()]
+    return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
+
+
+def cause_of(cause: PlainCause) -> NamedCause:
+    """The entry of one cause."""
+    near = dict.fromkeys(split_key(key)[0] for key in cause.confusable_with)
+    return NamedCause(
+        effect=cause.effect, joint=contract_joint(cause.effect, cause.joint), meaning=cause.sentence,
+        size=tuple(CauseSize(name=s.name, unit=s.unit, value=s.value, ci95=(known(s.ci95[0]), known(s.ci95[1])))
+                   for s in cause.size),
+        p_value=cause.p_value, confusable_with=tuple(near))
+
+
+def scored_of(candidate: CandidateScore) -> Scored:
+    """The entry of one candidate."""
+    return Scored(effect=candidate.effect, joint=contract_joint(candidate.effect, candidate.joint),
+                  score=candidate.score, p_value=candidate.p_value, size=known(candidate.size),
+                  smallest_detectable=known(candidate.smallest_detectable), unit=candidate.unit)
+
+
+def errors_of(sensors: Mapping[str, SensorGain]) -> dict[str, Errors]:
+    """Entries by sensor."""
+    return {column: Errors(before=known(gain.before), after=known(gain.after), floor=known(gain.floor))
+            for column, gain in sensors.items()}
+
+
+def gains_of(errors: Mapping[str, Errors]) -> dict[str, SensorGain]:
+    """The same as the estimator has them: infinite where the nominal simulation diverges."""
+    return {column: SensorGain(inf if one.before is None else one.before, finite(one.after), finite(one.floor))
+            for column, one in errors.items()}
+
+
+def pieces_of(short: ShortRuns | None) -> Pieces | UnsetType:
+    """The errors in pieces; absent where free runs over whole runs show the gain."""
+    return UNSET if short is None else Pieces(horizon_s=short.horizon_s, rmse=errors_of(short.sensors),
+                                              gap_closed=short.closed, gap_closed_ci95=short.ci95)
+
+
+def gain_of(found: Diagnosis) -> GainOnHeldOut:
+    """The entry `gain` of a diagnosis."""
+    before, after = found.torque_rms_nm
+    return GainOnHeldOut(confirm_runs=found.confirm_runs, free_run_rmse=errors_of(found.sensors),
+                         torque_rms_nm=Torques(before=tuple(before), after=tuple(after)),
+                         gap_closed=found.gap_closed, gap_closed_ci95=found.gap_closed_ci95,
+                         pieces=pieces_of(found.short))
+
+
+def learnt_of(found: PlainStructure | None) -> Learnt | None:
+    """The structure of the residual; None without one."""
+    if found is None:
+        return None
+    noise = {(one.law.joint or 0) + 1: one.noise_nm for one in found.torques}
+    table = found.table
+    return Learnt(
+        removed=found.removed, removed_ci95=tuple(found.removed_ci95 or ()),
+        where=tuple(LearntPlace(joint=joint, depends_on=inputs, rms_nm=rms, noise_nm=noise[joint])
+                    for (joint, inputs), rms in where_of(found).items()),
+        error=tuple(ErrorOver(channel=c, horizon_s=h if np.isfinite(h) else None, before=known(table.rms(0, c, h)),
+                              after=known(table.rms(1, c, h))) for c in table.judged for h in table.horizons_s))

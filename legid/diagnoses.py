@@ -1,0 +1,139 @@
+"""Result of `legid.diagnose`: the document `legid.diagnosis/1`, with the models and curves that it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from daq import Dataset, Rig, WorkError
+from estimator.diagnosis import Diagnosis as Details
+from experiments.documents import DiagnosisDocument, finite
+from experiments.judge import Files
+from experiments.provenance import Origin, origin_of
+from experiments.reports import (
+    diagnosis_text,
+    error_rows,
+    gap_text,
+    short_diagnosis_text,
+    size_rows,
+    write_diagnosis,
+)
+from experiments.session import Prepared
+from legid.tables import Shown, frame, html_table, paragraphs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+class Made(NamedTuple):
+    """Answer and runs that a document was made from."""
+
+    details: Details
+    prepared: Prepared
+    fitted: tuple[Dataset, ...]
+    """All runs that were given."""
+    rig: Rig
+
+
+class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
+    """`legid.diagnosis/1`: errors of the simulation, their causes, and the gain of extending the model.
+
+    Its fields are the keys of the JSON. `Diagnosis.read(path)` gives one of a file, which has no models and no curves:
+    `details` and what is read from it then raise `WorkError`.
+    """
+
+    @classmethod
+    def made_from(cls, details: Details, prepared: Prepared, runs: Sequence[Dataset], rig: Rig, origin: Origin
+                  ) -> Diagnosis:
+        """The diagnosis of `runs`, from the files of `origin`."""
+        found = cls.of(details, prepared.set_aside, prepared.setup.datasets)
+        found.__dict__["made"] = Made(details, prepared, tuple(runs), rig)
+        found.provenance = origin
+        return found
+
+    def _made(self) -> Made:
+        try:
+            made: Made = self.__dict__["made"]
+        except KeyError:
+            raise WorkError("this diagnosis was read from a file, which has no models and no curves; run "
+                            "legid.diagnose") from None
+        return made
+
+    @property
+    def details(self) -> Details:
+        """The estimator's own result: models with their covariance, curves, simulated runs."""
+        return self._made().details
+
+    @property
+    def prepared(self) -> Prepared:
+        """The runs used and those set aside."""
+        return self._made().prepared
+
+    @property
+    def fitted(self) -> tuple[Dataset, ...]:
+        """All runs that were given, in their order."""
+        return self._made().fitted
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of these runs."""
+        return self._made().rig
+
+    def text(self, files: Files | None = None) -> str:
+        """Everything that `legid diagnose` prints. The next step names `files`."""
+        return diagnosis_text(self.details, files)
+
+    def page(self, path: Path | str, files: Files | None = None) -> None:
+        """Write the page of `legid diagnose --html`, whose next step names `files`.
+
+        Raises `InputError`, and `WorkError` for a document of a file.
+        """
+        write_diagnosis(path, self.details, self.prepared, self.provenance or origin_of(), files)
+
+    def to_frame(self, what: str = "causes") -> DataFrame:
+        """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.
+
+        Raises `ValueError` for any other `what`, `WorkError` without pandas.
+        """
+        if what == "candidates":
+            names = ("effect", "joint", "score", "p_value", "size", "unit")
+            return frame({**{name: [getattr(c, name) for c in self.candidates] for name in names},
+                          "smallest_detectable": [inf if c.smallest_detectable is None else c.smallest_detectable
+                                                  for c in self.candidates]})
+        if what != "causes":
+            raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
+        rows = [(c, s) for c in self.causes for s in c.size]
+        return frame({"effect": [c.effect for c, _ in rows], "joint": [c.joint for c, _ in rows],
+                      "size": [s.name for _, s in rows], "value": [s.value for _, s in rows],
+                      "low": [finite(s.ci95[0]) for _, s in rows],
+                      "high": [finite(s.ci95[1]) for _, s in rows],
+                      "unit": [s.unit for _, s in rows], "p_value": [c.p_value for c, _ in rows]})
+
+    def plot(self) -> Figure:
+        """Free-run errors before and after; below, the residual of each cause over its natural variable.
+
+        Raises `WorkError` for a diagnosis that failed, and for a document of a file.
+        """
+        from legid.figures import diagnosis_figure
+
+        if self.verdict == "fit_failed":
+            raise WorkError(self.sentence)
+        return diagnosis_figure(self.details)
+
+    def __str__(self) -> str:
+        return short_diagnosis_text(self)
+
+    def _repr_html_(self) -> str:
+        parts = [paragraphs([f"{self.verdict}: {self.sentence}"])]
+        if self.causes:
+            rows = [row for cause in self.causes for row in size_rows(cause)]
+            parts.append(html_table(["effect", "size", "value", "95 % interval", "unit"], rows))
+        if self.sensors:
+            parts.append(html_table(["free-run error (rms)", "nominal", "extended", "noise alone"],
+                                    error_rows(self.sensors)))
+        parts.append(paragraphs([text for text in (gap_text(self), *(f"Warning: {w}" for w in self.warnings),
+                                                   self.next_experiment) if text]))
+        return "".join(parts)
