@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 from daq import Dataset, FloatArray, WorkError
 from daq.recording import Plan
 from estimator import FitResult
-from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.documents import ComparisonDocument
-from experiments.judge import Investigation, Watched
+from experiments.documents import Answer, ComparisonDocument, WatchDocument
+from experiments.judge import Investigation
 from experiments.reports import (
     BLUE,
     GREEN,
@@ -170,9 +169,9 @@ def comparison_figure(found: ComparisonDocument) -> Figure:
     return figure
 
 
-def change_figure(found: Change) -> Figure:
+def change_figure(found: Answer) -> Figure:
     """Estimated change of the likeliest effects over the smallest detectable one. Raises `WorkError`."""
-    some = drawn_changes(found.detectable)
+    some = drawn_changes(found)
     if not some:
         raise WorkError(found.sentence)
     figure = NotebookFigure(figsize=(7.2, 0.9 + 0.24 * len(some)), layout="constrained")
@@ -182,10 +181,10 @@ def change_figure(found: Change) -> Figure:
     return figure
 
 
-def watch_figure(lines: Sequence[Watched], false_alarms: float) -> Figure:
+def watch_figure(found: WatchDocument) -> Figure:
     """False alarms per hour that each block of motion just reaches, over the runs."""
     figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
-    paint_watch(figure.subplots(), lines, false_alarms)
+    paint_watch(figure.subplots(), found)
     return figure
 
 

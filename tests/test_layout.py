@@ -26,7 +26,7 @@ ROOMS = {
                     ["rig", "excite", "emulation", "session"], ["judge"], ["documents"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["cli"]],
     "legid": [["tables", "figures"], ["results", "listings", "changes", "validations", "comparisons"],
-              ["api", "tools"]],
+              ["given"], ["api", "tools"]],
     "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
                 ["run_casebook", "run_monte_carlo"]],
 }

@@ -1,3 +1,10 @@
+from .change import Answer as Answer
+from .change import Candidate as Candidate
+from .change import Cause as Cause
+from .change import ChangeDocument as ChangeDocument
+from .change import Differing as Differing
+from .change import Pair as Pair
+from .change import SessionsDocument as SessionsDocument
 from .comparison import ComparisonDocument as ComparisonDocument
 from .comparison import ErrorPair as ErrorPair
 from .comparison import Value as Value
@@ -13,3 +20,6 @@ from .validation import ValidationDocument as ValidationDocument
 from .validation import segment_of as segment_of
 from .walk import Walk as Walk
 from .walk import Walked as Walked
+from .watch import Block as Block
+from .watch import WatchDocument as WatchDocument
+from .watch import WatchedRun as WatchedRun

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Self, get_args, get_origin, get_type_hints
 
 import msgspec
-from msgspec import Meta, Struct, UnsetType
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from daq import InputError, read_bytes
 from experiments.console import write_json
@@ -28,6 +28,9 @@ def finite(value: Number) -> float:
 
 class Document(Struct, kw_only=True):
     """A JSON document: fields are keys, unknown keys of a file are ignored, keys with a default may be missing."""
+
+    schema: str | UnsetType = UNSET
+    """Stands first in a file; a part of a document has none."""
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
@@ -52,19 +55,25 @@ def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | Non
 
 def _structs(hint: object) -> Iterator[type[Struct]]:
     if isinstance(hint, type) and issubclass(hint, Struct) and get_origin(hint) is None:
-        if hint is not Origin:
-            yield hint
+        yield hint
         return
     for part in get_args(hint):
         yield from _structs(part)
 
 
 def keys_table(kind: type[Struct]) -> str:
-    """Markdown table of the keys of `kind`; keys of structs below stand in their own rows, `runs.rmse`."""
+    """Markdown table of the keys of `kind`; keys of structs below stand in their own rows, `runs.rmse`.
+
+    A struct has no rows where it is told above, or where a link in the meaning leads to its keys.
+    """
+    told: set[type[Struct]] = set()
+
     def rows(one: type[Struct], before: str) -> Iterator[str]:
         for key, meaning, below in described(one):
-            yield f"| `{before}{key}` | {meaning} |"
-            if below is not None:
+            if meaning:
+                yield f"| `{before}{key}` | {meaning} |"
+            if below is not None and below not in told and "](#" not in meaning:
+                told.add(below)
                 yield from rows(below, f"{before}{key}.")
 
     return "\n".join(["| key | meaning |", "| --- | --- |", *rows(kind, "")]) + "\n"

@@ -1,8 +1,12 @@
 """Documents whose table of keys is made from their struct."""
 
+from experiments.documents.change import ChangeDocument, SessionsDocument
 from experiments.documents.comparison import ComparisonDocument
 from experiments.documents.document import Document
 from experiments.documents.validation import ValidationDocument
+from experiments.documents.watch import WatchDocument
 
-DOCUMENTED: dict[str, type[Document]] = {"validation": ValidationDocument, "comparison": ComparisonDocument}
+DOCUMENTED: dict[str, type[Document]] = {
+    "validation": ValidationDocument, "comparison": ComparisonDocument, "change": ChangeDocument,
+    "sessions": SessionsDocument, "watch": WatchDocument}
 """By the name of the verb's result."""
