@@ -266,7 +266,9 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = stored_rig(paths) if rig is None else as_rig(rig)
     found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None), fixed)
-    return Tuning(found, tuple(map(source_of, paths)))
+    made = found.as_document(Tuning)
+    made.provenance = origin_from(tuple(map(source_of, paths)))
+    return made
 
 
 def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None

@@ -14,7 +14,7 @@ from daq.recording import Plan
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.documents import Answer, ComparisonDocument, WatchDocument
+from experiments.documents import Answer, ComparisonDocument, TuningDocument, WatchDocument
 from experiments.judge import Investigation
 from experiments.reports import (
     BLUE,
@@ -27,7 +27,6 @@ from experiments.reports import (
     paint_watch,
     window,
 )
-from experiments.workflows import Tuning
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
@@ -134,11 +133,11 @@ def plan_figure(plan: Plan) -> Figure:
     return figure
 
 
-def tuning_figure(found: Tuning) -> Figure:
+def tuning_figure(found: TuningDocument) -> Figure:
     """Error of runs not fitted, a group of bars a joint: before, and with what was chosen. Raises `WorkError`."""
-    trials = [(label, colour, trial.rmse) for label, colour, trial in
-              (("before", BLUE, found.before), ("chosen", ORANGE, found.after))
-              if trial is not None and np.isfinite(trial.score)]
+    trials = [(label, colour, np.array([np.inf if x is None else x for x in rmse])) for label, colour, rmse in
+              (("before", BLUE, found.error_before), ("chosen", ORANGE, found.error_after)) if rmse is not None]
+    trials = [one for one in trials if np.isfinite(one[2]).all()]
     if not trials:
         raise WorkError("no set-up that was tried can be simulated; record richer motion")
     figure = NotebookFigure(figsize=(7.2, 2.6), layout="constrained")

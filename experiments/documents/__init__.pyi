@@ -13,6 +13,11 @@ from .document import Number as Number
 from .document import finite as finite
 from .document import keys_table as keys_table
 from .known import DOCUMENTED as DOCUMENTED
+from .tuning import Entry as Entry
+from .tuning import Time as Time
+from .tuning import Tried as Tried
+from .tuning import TuningDocument as TuningDocument
+from .tuning import What as What
 from .validation import Horizon as Horizon
 from .validation import RunFit as RunFit
 from .validation import Segment as Segment

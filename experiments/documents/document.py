@@ -47,10 +47,11 @@ class Document(Struct, kw_only=True):
 
 def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:
     """Key, meaning and the struct below it, if any, of the documented fields of `kind`, in their order."""
+    keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__))
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        if name in kind.__struct_fields__:
+        if name in keys:
             meaning = next((one.description for one in get_args(hint) if isinstance(one, Meta)), None) or ""
-            yield name, meaning, next(_structs(hint), None)
+            yield keys[name], meaning, next(_structs(hint), None)
 
 
 def _structs(hint: object) -> Iterator[type[Struct]]:

@@ -78,6 +78,9 @@ from .run_list import list_runs as list_runs
 from .run_list import other_tables as other_tables
 from .run_list import runs_document as runs_document
 from .run_list import runs_text as runs_text
+from .tuning import TUNING_HEADER as TUNING_HEADER
+from .tuning import tuning_rows as tuning_rows
+from .tuning import tuning_text as tuning_text
 from .validation_page import errors_text as errors_text
 from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows
