@@ -33,12 +33,12 @@ from estimator import FitResult as PlainFit
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
-from experiments.console import busy, work_bar
-from experiments.documents import Pair
+from experiments.console import busy, command_line, work_bar
+from experiments.documents import Pair, Step
 from experiments.excite import random_multisine
 from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.provenance import Source
+from experiments.provenance import Source, origin_of
 from experiments.reports import model_with_origin, origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
@@ -340,15 +340,17 @@ def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | Mode
 
 
 def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emulate: str | None = None, seed: int = 1,
-                yes: bool = False, estop_at_hand: bool = False, workers: int = 1,
-                progress: Callable[[str, float], None] | None = None) -> Investigation:
+                yes: bool = False, estop_at_hand: bool = False, workers: int | None = 1,
+                progress: Callable[[str, float], None] | None = None,
+                told: Callable[[Step], None] = lambda step: None) -> Investigation:
     """Recordings and diagnoses of a rig until one cause stands, nothing material is left, or `budget_min` [min] are
     spent, as `legid investigate`.
 
     `rig` is a path. Everything goes into the folder `out`: runs, plans, a diagnosis a step, the model, the journal. A
     person confirms every recording on the terminal, unless `yes`. `emulate` names an effect hidden in an emulated leg
     instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
-    called with (stage, share done). Raises `InputError`, and `WorkError` or a `DriverError` where nothing was recorded.
+    called with (stage, share done), `told` with each of the result's `steps` when it is done. Raises `InputError`, and
+    `WorkError` or a `DriverError` where nothing was recorded.
     """
     known, source = load_rig(rig), source_of(rig)
 
@@ -356,10 +358,13 @@ def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emul
         confirm_estop(known, estop_at_hand)
         return confirm_motion(what, yes)
 
-    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None))
+    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None),
+                  lambda step: told(Step.of(step)))
     done = investigate_rig(rig, Path(out), 60.0 * budget_min, asked,
-                           lambda files: origin_from(tuple(map(source_of, files)), source, seed))
-    return Investigation(done, Path(out))
+                           lambda files: origin_of(files, source, seed=seed, command=command_line()))
+    made = Investigation.of(done)
+    made.provenance = origin_of([Path(out) / run for run in done.runs], source, seed=seed, command=command_line())
+    return made
 
 
 def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from experiments.documents import ChangeDocument, Differing, SessionsDocument, WatchDocument, finite
+from experiments.documents import (
+    ChangeDocument,
+    Differing,
+    InvestigationDocument,
+    SessionsDocument,
+    WatchDocument,
+    finite,
+)
 from experiments.judge import Files
-from experiments.judge import Investigation as PlainInvestigation
 from experiments.provenance import origin_of
 from experiments.reports import (
     CAUSE_HEADER,
     cause_rows,
     change_text,
-    investigation_document,
     investigation_text,
     sessions_text,
-    source_of,
     step_text,
     watch_text,
     worst_of,
     write_change,
-    write_document,
+    write_investigation,
     write_watch,
 )
 from legid.tables import Shown, frame, html_table, paragraphs
@@ -32,8 +35,6 @@ from legid.tables import Shown, frame, html_table, paragraphs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-    from experiments.judge import Step
 
 
 class Change(Shown, ChangeDocument, kw_only=True):
@@ -176,45 +177,27 @@ class Watching(Shown, WatchDocument, kw_only=True):
         return paragraphs(str(self).splitlines())
 
 
-@dataclass(frozen=True, repr=False)
-class Investigation(Shown):
-    """Recordings and diagnoses of a rig, step by step, until one cause stood or the investigation ended otherwise."""
+class Investigation(Shown, InvestigationDocument, kw_only=True):
+    """Recordings and diagnoses of a rig, step by step: `legid.investigation/1`, whose keys are its fields.
 
-    plain: PlainInvestigation
-    """The steps, with their diagnoses."""
-    folder: Path
-    """Where the runs, the diagnoses, the model and the journal are."""
+    `Investigation.read(path)` gives the journal of a folder.
+    """
 
     @property
     def verdict(self) -> str | None:
         """Verdict of the last diagnosis; None without one."""
-        return None if self.plain.found is None else self.plain.found.verdict
+        return None if self.answer is None else self.answer.verdict
 
-    @property
-    def ending(self) -> str | None:
-        """Reason for the end: settled, exhausted, budget, declined, stopped or failed."""
-        return self.plain.ending
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """Experiments and the diagnosis after them, in their order."""
-        return self.plain.steps
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.investigation/1`, as `legid investigate` writes it."""
-        return investigation_document(self.plain)
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, tuple(source_of(self.folder / run) for run in self.plain.runs))
+    def page(self, path: Path | str) -> None:
+        """Write the journal as a page. Raises `InputError`."""
+        write_investigation(path, self, self.provenance or origin_of())
 
     def to_frame(self) -> DataFrame:
         """One row a run: step, kind, plan [s], largest torque [N m], verdict after the step.
 
         Raises `WorkError` without pandas.
         """
-        rows = [(k, one, step.found) for k, step in enumerate(self.steps, 1) for one in step.experiments]
+        rows = [(k, one, step.after) for k, step in enumerate(self.steps, 1) for one in step.experiments]
         return frame({"run": [one.run for _, one, _ in rows], "step": [k for k, _, _ in rows],
                       "kind": [one.kind for _, one, _ in rows], "seconds": [one.seconds for _, one, _ in rows],
                       "peak_nm": [one.peak_nm for _, one, _ in rows],
@@ -227,10 +210,10 @@ class Investigation(Shown):
         """
         from legid.figures import investigation_figure
 
-        return investigation_figure(self.plain)
+        return investigation_figure(self)
 
     def __str__(self) -> str:
-        return "\n".join([*map(step_text, self.steps), investigation_text(self.plain)])
+        return "\n".join([*map(step_text, self.steps), investigation_text(self)])
 
     def _repr_html_(self) -> str:
         return paragraphs(str(self).splitlines())

@@ -14,8 +14,7 @@ from daq.recording import Plan
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.documents import Answer, ComparisonDocument, TuningDocument, WatchDocument
-from experiments.judge import Investigation
+from experiments.documents import Answer, ComparisonDocument, InvestigationDocument, TuningDocument, WatchDocument
 from experiments.reports import (
     BLUE,
     GREEN,
@@ -187,9 +186,9 @@ def watch_figure(found: WatchDocument) -> Figure:
     return figure
 
 
-def investigation_figure(done: Investigation) -> Figure:
+def investigation_figure(done: InvestigationDocument) -> Figure:
     """Held-out errors over the steps. Raises `WorkError` where no step has a diagnosis."""
-    if done.found is None:
+    if done.answer is None:
         raise WorkError(done.why)
     figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
     paint_errors(figure.subplots(), done)

@@ -8,10 +8,17 @@ from .change import SessionsDocument as SessionsDocument
 from .comparison import ComparisonDocument as ComparisonDocument
 from .comparison import ErrorPair as ErrorPair
 from .comparison import Value as Value
+from .diagnosis_parts import WHOLE_RIG as WHOLE_RIG
+from .diagnosis_parts import contract_joint as contract_joint
+from .diagnosis_parts import split_key as split_key
 from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite
 from .document import keys_table as keys_table
+from .investigation import Belief as Belief
+from .investigation import Experiment as Experiment
+from .investigation import InvestigationDocument as InvestigationDocument
+from .investigation import Step as Step
 from .known import DOCUMENTED as DOCUMENTED
 from .tuning import Entry as Entry
 from .tuning import Time as Time

@@ -95,7 +95,8 @@ class Session(Struct, frozen=True, kw_only=True):
 class Answer(Document, kw_only=True):
     """Difference, and the smallest ones that would have shown."""
 
-    verdict: Annotated[ChangeVerdict, Meta(description="[its meaning](diagnosis.md#against-earlier-runs)")]
+    verdict: Annotated[ChangeVerdict, Meta(
+        description="no_change, named, partial, one_of, changed_unexplained or fit_failed")]
     sentence: Annotated[str, Meta(description="the first line")]
     causes: Annotated[tuple[Cause, ...], Meta(description="one entry a cause")] = ()
     candidates: Annotated[tuple[Candidate, ...], Meta(description="the likeliest first")] = ()

@@ -3,11 +3,13 @@
 from experiments.documents.change import ChangeDocument, SessionsDocument
 from experiments.documents.comparison import ComparisonDocument
 from experiments.documents.document import Document
+from experiments.documents.investigation import InvestigationDocument
 from experiments.documents.tuning import TuningDocument
 from experiments.documents.validation import ValidationDocument
 from experiments.documents.watch import WatchDocument
 
 DOCUMENTED: dict[str, type[Document]] = {
     "validation": ValidationDocument, "comparison": ComparisonDocument, "change": ChangeDocument,
-    "sessions": SessionsDocument, "watch": WatchDocument, "tuning": TuningDocument}
+    "sessions": SessionsDocument, "watch": WatchDocument, "tuning": TuningDocument,
+    "investigation": InvestigationDocument}
 """By the name of the verb's result."""

@@ -56,7 +56,6 @@ from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict
-from .investigation import investigation_document as investigation_document
 from .investigation import investigation_text as investigation_text
 from .investigation import step_text as step_text
 from .investigation_page import paint_errors as paint_errors

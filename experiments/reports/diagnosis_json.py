@@ -9,13 +9,12 @@ import numpy as np
 
 from daq import Dataset
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
+from experiments.documents import WHOLE_RIG, contract_joint, split_key
 from experiments.judge import next_step
 from experiments.reports.structure import structure_document
 from experiments.session import SetAside, faulty_readings
 
 SCHEMA = "legid.diagnosis/1"
-WHOLE_RIG = frozenset({"rotor_inertia"})
-"""Effects that the library places at a joint and the contract does not."""
 
 
 def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = (), used: Sequence[Dataset] = ()
@@ -76,17 +75,6 @@ def pieces(short: ShortRuns | None) -> dict[str, Any]:
     return {} if short is None else {"pieces": {
         "horizon_s": short.horizon_s, "rmse": rmse(short.sensors), "gap_closed": short.closed,
         "gap_closed_ci95": None if short.ci95 is None else list(short.ci95)}}
-
-
-def contract_joint(effect: str, joint: int | None) -> int | None:
-    """The joint as the contract counts it: null for what belongs to the whole rig."""
-    return None if effect in WHOLE_RIG else joint
-
-
-def split_key(key: str) -> tuple[str, int | None]:
-    """(effect, joint from 1 or None) of the estimator's key `effect@joint`."""
-    name, _, joint = key.partition("@")
-    return name, int(joint) if joint else None
 
 
 def _cause(cause: Cause) -> dict[str, Any]:

@@ -7,8 +7,9 @@ from math import inf, isfinite, isinf
 
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
+from experiments.documents import contract_joint, split_key
 from experiments.judge import Files, next_step, normal, number, with_names
-from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
+from experiments.reports.diagnosis_json import untestable
 from experiments.reports.structure import HEADER as STRUCTURE_HEADER
 from experiments.reports.structure import USE, structure_rows, structure_words
 
