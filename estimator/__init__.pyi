@@ -23,4 +23,5 @@ from .result import Trajectory as Trajectory
 from .verdicts import CAUSED as CAUSED
 from .verdicts import EVERY_VERDICT as EVERY_VERDICT
 from .verdicts import VERDICTS as VERDICTS
+from .verdicts import ChangeVerdict as ChangeVerdict
 from .verdicts import Verdict as Verdict

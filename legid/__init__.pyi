@@ -7,6 +7,7 @@ from .api import Recording as Recording
 from .api import Rig as Rig
 from .api import WorkError as WorkError
 from .api import compare as compare
+from .api import compare_sessions as compare_sessions
 from .api import diagnose as diagnose
 from .api import fit as fit
 from .api import investigate as investigate
@@ -25,6 +26,7 @@ from .api import watch as watch
 from .api import write_plan as write_plan
 from .changes import Change as Change
 from .changes import Investigation as Investigation
+from .changes import Sessions as Sessions
 from .changes import Watching as Watching
 from .comparisons import Comparison as Comparison
 from .diagnoses import Diagnosis as Diagnosis

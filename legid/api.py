@@ -17,12 +17,13 @@ done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal, cast, overload
 
 import numpy as np
+from msgspec import structs
 
 from daq import Dataset as PlainDataset
 from daq import InputError, Rig, WorkError, load_rig
@@ -33,18 +34,23 @@ from estimator import FitResult as PlainFit
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
+from experiments.console import busy, command_line, work_bar
+from experiments.documents import Pair, Step
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.reports import REFERENCE_NAMES, origin_from, source_of
+from experiments.provenance import Source, origin_of
+from experiments.reports import origin_from, source_of
 from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
 from experiments.workflows import (
+    SessionPair,
     as_reference,
+    choose_executor,
     compare_models,
     diagnose_prepared,
     find_change,
     find_change_since,
-    find_difference,
+    find_differences,
     fit_runs,
     reference_values,
     simulate_run,
@@ -53,11 +59,12 @@ from experiments.workflows import (
     validate_prepared,
     with_reference_terms,
 )
-from legid.changes import Change, Investigation, Watching
+from legid.changes import Change, Investigation, Sessions, Watching
 from legid.comparisons import Comparison
 from legid.diagnoses import Diagnosis
 from legid.fits import FitResult
 from legid.found_models import model_of_diagnosis, model_of_fit
+from legid.given import RigLike, Runs, as_model, as_rig, as_runs, earlier_of, runs_and_rig, stored_rig
 from legid.listings import Tuning
 from legid.results import Dataset, sources_of
 from legid.validations import Validation, Validations
@@ -66,12 +73,11 @@ if TYPE_CHECKING:
     from daq.recording import RecordReport
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
-           "Investigation", "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "Watching",
-           "WorkError", "compare", "diagnose", "fit", "investigate", "load", "load_model", "load_rig", "model",
-           "multisine", "read_plan", "record", "save_model", "simulate", "tune", "validate", "watch", "write_plan"]
+           "Investigation", "Model", "Plan", "Recording", "Rig", "Sessions", "Tuning", "Validation", "Validations",
+           "Watching", "WorkError", "compare", "compare_sessions", "diagnose", "fit", "investigate", "load",
+           "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model", "simulate", "tune",
+           "validate", "watch", "write_plan"]
 
-RigLike = Rig | Path | str
-Runs = PlainDataset | Sequence[PlainDataset]
 multisine = random_multisine
 
 
@@ -101,7 +107,7 @@ def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, da
     are wanted. Raises `InputError` naming file, line and column.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
-    known = _stored_rig(paths) if rig is None else _rig(rig)
+    known = stored_rig(paths) if rig is None else as_rig(rig)
     found = tuple(Dataset.of(data, known, source_of(path))
                   for path, data in zip(paths, load_runs(paths, known, damaged), strict=True))
     return found[0] if isinstance(runs, Path | str) else found
@@ -126,7 +132,7 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     Check `converged` and `undetermined`; `model` refuses an unusable result. Raises `InputError`, or `FitError` where
     the data cannot answer.
     """
-    given, known = _given(runs, rig)
+    given, known = runs_and_rig(runs, rig)
     found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
     return FitResult.made_from(found, given, origin_from(sources_of(given)))
 
@@ -145,9 +151,9 @@ def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, 
     `Validation` a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold
     effects. Raises `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
-    given, known = _given(runs, rig)
-    one, where = _model(model, "the model")
-    other, of_other = (None, "") if against is None else _model(against, "the other model")
+    given, known = runs_and_rig(runs, rig)
+    one, where = as_model(model, "the model")
+    other, of_other = (None, "") if against is None else as_model(against, "the other model")
     if other is not None and other.mechanism.model != one.mechanism.model:
         raise InputError(of_other, f"is a {other.mechanism.model}, not a {one.mechanism.model}",
                          "give a model of the same mechanism")
@@ -164,11 +170,11 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
              progress: Callable[[str, float], None] | None = None, workers: int | None = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model) -> Change: ...
+def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model | Path | str) -> Change: ...
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int | None = 1,
              material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
-             against: Runs | Model | None = None) -> Diagnosis | Change:
+             against: Runs | Model | Path | str | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good.
@@ -183,32 +189,39 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     unexplained or fit_failed; `causes` have sizes with units and 95 % intervals. Raises `InputError` for runs that do
     not belong together.
 
-    With earlier runs of the rig `against` which these are held, or a model that a diagnosis of them gave, it is a
-    `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part in it.
+    With earlier runs of the rig `against` which these are held, or a model (or its file) that a diagnosis of them
+    gave, it is a `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part
+    in it.
     """
-    given, known = _given(runs, rig)
-    if isinstance(against, Model):
-        return Change(find_change_since(given, against, "the model", known), REFERENCE_NAMES,
-                      sources=((), sources_of(given)))
+    given, known = runs_and_rig(runs, rig)
     if against is not None:
-        earlier = (against,) if isinstance(against, PlainDataset) else tuple(against)
-        return Change(find_change(given, earlier, known), REFERENCE_NAMES,
-                      sources=(sources_of(earlier), sources_of(given)))
-    before, where = (None, "") if reference is None else _model(reference, "reference")
+        return _change_since(given, against, known)
+    before, where = (None, "") if reference is None else as_model(reference, "reference")
     prepared = prepare(given, with_reference_terms(known, before), fixed=fixed)
     values = None if before is None else reference_values(before, where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
     return Diagnosis.made_from(found, prepared, given, known, origin_from(sources_of(given)))
 
 
+def _change_since(given: tuple[PlainDataset, ...], against: Runs | Model | Path | str, rig: Rig) -> Change:
+    """Change of `given` since the runs `against`, or those that a model was made from."""
+    earlier, where, before = earlier_of(against)
+    found = find_change_since(given, earlier, where, rig) if isinstance(earlier, Model) else find_change(
+        given, earlier, rig)
+    made = Change.of(found.change, found.set_aside, before, found.datasets)
+    made.provenance = structs.replace(origin_from(sources_of(given)),
+                                      model=next(iter(before), None) if where else None)
+    return made
+
+
 @overload
 def compare(a: Model, b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
             names: tuple[str, str] = ("A", "B"), horizons_s: Sequence[float] | None = None) -> Comparison: ...
 @overload
-def compare(a: Runs, b: Runs, *, rig: RigLike | None = None, names: tuple[str, str] = ("A", "B")) -> Change: ...
+def compare(a: Runs, b: Runs, *, rig: RigLike | None = None, names: tuple[str, str] = ("A", "B")) -> Sessions: ...
 def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | None = None,
             sensors: str | None = None, names: tuple[str, str] = ("A", "B"),
-            horizons_s: Sequence[float] | None = None) -> Comparison | Change:
+            horizons_s: Sequence[float] | None = None) -> Comparison | Sessions:
     """Two models on `runs` that neither was fitted to: parameters, free-run errors over horizons, which is better.
 
     Or the runs of two sessions: whether they differ beyond the scatter of runs within a session, and by what. Sizes are
@@ -220,15 +233,31 @@ def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | No
     estimated.
     """
     if not isinstance(a, Model) and not isinstance(b, Model):
-        first, known = _given(a, rig)
-        second, _ = _given(b, rig)
-        return Change(find_difference(first, second, names, known), names, False,
-                      (sources_of(first), sources_of(second)))
+        return compare_sessions([a, b], names, rig)
     if not isinstance(a, Model) or not isinstance(b, Model):
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
-    given, known = _given(runs, rig)
+    given, known = runs_and_rig(runs, rig)
     found = compare_models((a, b), names, given, known, sensors, _lengths(horizons_s))
     return Comparison.made_from(found, given, a.mechanism.model, origin_from(sources_of(given)))
+
+
+def compare_sessions(sessions: Sequence[Runs], names: Sequence[str], rig: RigLike | None = None,
+                     workers: int | None = 1, cluster: str | None = None) -> Sessions:
+    """Differences of each session of a rig from the first, as `compare` of two; `names` are what they are called.
+
+    Pairs are shared by so many `workers` (None: one a core), or those of the Dask scheduler `cluster`. Raises
+    `InputError`.
+    """
+    given, known = [as_runs(own) for own in sessions], runs_and_rig(sessions[0], rig)[1]
+    count = len(given) - 1
+    jobs = [SessionPair(given[0], own, (names[0], name), known, count) for name, own in zip(names[1:], given[1:])]
+    with work_bar("comparing", count, "session") as done:
+        found = find_differences(jobs, choose_executor(1 if count == 1 else workers, cluster), done)
+    every = [run for own in given for run in own]
+    made = Sessions.of([Pair.of(one.change, job.names) for job, one in zip(jobs, found)],
+                       [run for one in found for run in one.set_aside], every)
+    made.provenance = origin_from(sources_of(every))
+    return made
 
 
 def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,
@@ -241,9 +270,11 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     `InputError`, and `FitError` where no run can be used.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
-    known = _stored_rig(paths) if rig is None else _rig(rig)
+    known = stored_rig(paths) if rig is None else as_rig(rig)
     found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None), fixed)
-    return Tuning(found, tuple(map(source_of, paths)))
+    made = found.as_document(Tuning)
+    made.provenance = origin_from(tuple(map(source_of, paths)))
+    return made
 
 
 def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs | None = None,
@@ -260,7 +291,7 @@ def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs |
         made = model_of_diagnosis(found.details, found.prepared.setup, found.rig, found.fitted,
                                   found.provenance or None)
         return as_reference(made, found.prepared)
-    given, known = _given(() if runs is None else runs, rig)
+    given, known = runs_and_rig(() if runs is None else runs, rig)
     setup = prepare(given, known).setup
     return model_of_fit(found, setup, given) if isinstance(found, PlainFit) else \
         model_of_diagnosis(found, setup, known, given)
@@ -281,36 +312,48 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
     return Recording(load(out, rig), report, tuple(warnings))
 
 
-def watch(runs: Runs, against: Runs | Model, rig: RigLike | None = None, false_alarms: float = 0.1) -> Watching:
+def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | Model | Path | str,
+          rig: RigLike | None = None, false_alarms: float = 0.1, damaged: bool = False,
+          told: Callable[[Watching], None] = lambda found: None) -> Watching:
     """Every run, in the order given, tested for a change since the reference runs `against`, as `legid watch`.
 
-    `against`: earlier runs of the same rig, or a model that a diagnosis of them gave. The test is sequential; its
-    threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run after an alarm on a
-    line says what changed. Raises `InputError`, and `FitError` where the reference runs give no reference.
+    `against`: earlier runs of the same rig, or a model or model file that a diagnosis of them gave. The test is
+    sequential; its threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run
+    after an alarm on a line says what changed. With a `rig`, `runs` may be files that are read one by one, and a
+    generator that waits for them; `told` is called with the result after each. Raises `InputError`, and `FitError`
+    where the reference runs give no reference.
     """
     from experiments.workflows import watcher_of
 
     if not 0.0 < false_alarms <= 60.0:
         raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
-    given, known = _given(runs, rig)
-    earlier = against if isinstance(against, Model) else (
-        (against,) if isinstance(against, PlainDataset) else tuple(against))
-    watcher = watcher_of(earlier, "the model", known, false_alarms)
-    lines = tuple(map(watcher.watch, given))
-    sources = () if isinstance(earlier, Model) else sources_of(earlier)
-    return Watching(lines, false_alarms, tuple(watcher.test.reference.runs), (sources, sources_of(given)))
+    if rig is None or isinstance(runs, PlainDataset):
+        runs, rig = runs_and_rig(cast(Runs, runs), rig)  # which refuses a file
+    earlier, where, before = earlier_of(against)
+    with busy("learning the reference"):
+        watcher = watcher_of(earlier, where, as_rig(rig), false_alarms, damaged)
+    found = Watching.begun(watcher.test.reference.runs, false_alarms, before)
+    files: tuple[Source, ...] = ()
+    for run in runs:
+        found.watched.append(watcher.watch(run))
+        files += sources_of([run]) if isinstance(run, PlainDataset) else (source_of(run),)
+        found.provenance = structs.replace(origin_from(files), model=next(iter(before), None) if where else None)
+        told(found)
+    return found
 
 
 def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emulate: str | None = None, seed: int = 1,
-                yes: bool = False, estop_at_hand: bool = False, workers: int = 1,
-                progress: Callable[[str, float], None] | None = None) -> Investigation:
+                yes: bool = False, estop_at_hand: bool = False, workers: int | None = 1,
+                progress: Callable[[str, float], None] | None = None,
+                told: Callable[[Step], None] = lambda step: None) -> Investigation:
     """Recordings and diagnoses of a rig until one cause stands, nothing material is left, or `budget_min` [min] are
     spent, as `legid investigate`.
 
     `rig` is a path. Everything goes into the folder `out`: runs, plans, a diagnosis a step, the model, the journal. A
     person confirms every recording on the terminal, unless `yes`. `emulate` names an effect hidden in an emulated leg
     instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
-    called with (stage, share done). Raises `InputError`, and `WorkError` or a `DriverError` where nothing was recorded.
+    called with (stage, share done), `told` with each of the result's `steps` when it is done. Raises `InputError`, and
+    `WorkError` or a `DriverError` where nothing was recorded.
     """
     from experiments.workflows import Asked, investigate_rig
 
@@ -320,10 +363,13 @@ def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emul
         confirm_estop(known, estop_at_hand)
         return confirm_motion(what, yes)
 
-    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None))
+    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None),
+                  lambda step: told(Step.of(step)))
     done = investigate_rig(rig, Path(out), 60.0 * budget_min, asked,
-                           lambda files: origin_from(tuple(map(source_of, files)), source, seed))
-    return Investigation(done, Path(out))
+                           lambda files: origin_of(files, source, seed=seed, command=command_line()))
+    made = Investigation.of(done)
+    made.provenance = origin_of([Path(out) / run for run in done.runs], source, seed=seed, command=command_line())
+    return made
 
 
 def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,
@@ -341,15 +387,6 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     return Dataset.of(found)
 
 
-def _rig(rig: RigLike) -> Rig:
-    return rig if isinstance(rig, Rig) else load_rig(rig)
-
-
-def _model(model: Model | Path | str, name: str) -> tuple[Model, str]:
-    """A model, and what names it in errors: its file, or else `name`."""
-    return (model, name) if isinstance(model, Model) else (load_model(model), str(model))
-
-
 def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:
     """Lengths of free runs [s]. Raises `InputError`."""
     if horizons_s is None:
@@ -358,32 +395,3 @@ def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:
     if wrong or not horizons_s:
         raise InputError("horizons_s", f"{wrong or 'nothing'} is no length of time", "give seconds, such as 0.25")
     return horizons_s
-
-
-def _stored_rig(paths: Sequence[Path | str]) -> Rig:
-    """The rig inside the first native run."""
-    from daq.runs import read_run
-    from daq.timing import recorded_rig
-
-    for path in paths:
-        if str(path).lower().endswith(".mcap"):
-            return recorded_rig(read_run(path))
-    raise InputError(str(paths[0]) if paths else "load", "holds no rig", "give the path of its rig.toml as rig")
-
-
-def _given(runs: Runs, rig: RigLike | None) -> tuple[tuple[PlainDataset, ...], Rig]:
-    """The runs as a tuple, and the rig given or else the one that they were loaded with."""
-    given = (runs,) if isinstance(runs, PlainDataset) else tuple(runs)
-    if not given:
-        raise InputError("runs", "is empty", "give a run, or a list of them")
-    if rig is not None:
-        return given, _rig(rig)
-    first = getattr(given[0], "rig", None)
-    for run in given:
-        own = getattr(run, "rig", None)
-        if own is None:
-            raise InputError(run.name, "was not loaded with a rig", "give the path of its rig.toml as rig")
-        if own != first:
-            raise InputError(run.name, f"was loaded with another rig than {given[0].name}", "give the rig to be used")
-    assert isinstance(first, Rig)
-    return given, first

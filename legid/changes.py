@@ -2,82 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from estimator.change import Change as PlainChange
-from experiments.judge import Investigation as PlainInvestigation
-from experiments.judge import Watched
+from experiments.documents import (
+    ChangeDocument,
+    Differing,
+    InvestigationDocument,
+    SessionsDocument,
+    WatchDocument,
+    finite,
+)
+from experiments.judge import Files
+from experiments.provenance import origin_of
 from experiments.reports import (
     CAUSE_HEADER,
-    Source,
     cause_rows,
-    change_document,
     change_text,
-    investigation_document,
     investigation_text,
-    line_text,
-    origin_from,
-    sessions_document,
-    source_of,
+    sessions_text,
     step_text,
-    watch_document,
-    watch_summary,
+    watch_text,
+    worst_of,
     write_change,
-    write_document,
+    write_investigation,
     write_watch,
 )
-from experiments.session import damaged_runs
-from experiments.workflows import ChangeFound
 from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from experiments.judge import Step
 
+class Change(Shown, ChangeDocument, kw_only=True):
+    """Change since earlier runs: `legid.diagnosis/1` with `against`, whose keys are its fields.
 
-@dataclass(frozen=True, repr=False)
-class Change(Shown):
-    """Change between two sessions of a rig."""
+    `Change.read(path)` gives one of a file.
+    """
 
-    found: ChangeFound
-    names: tuple[str, str]
-    """Of the first session, and of the one whose sizes are given less those of the first."""
-    reference: bool = True
-    """Whether the first session is the reference, and not a session like the other."""
-    sources: tuple[tuple[Source, ...], tuple[Source, ...]] = ((), ())
-    """The run files of both."""
+    def text(self, files: Files | None = None) -> str:
+        """Everything that `legid diagnose --against` prints; the next step names `files`."""
+        return change_text(self, files)
 
-    @property
-    def plain(self) -> PlainChange:
-        """The estimator's own result."""
-        return self.found.change
-
-    @property
-    def verdict(self) -> str:
-        """no_change, named, partial, one_of, changed_unexplained or fit_failed."""
-        return self.plain.verdict
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.diagnosis/1` as `legid diagnose --against --json` writes it, or `legid.sessions/1` as `legid compare`.
-        """
-        aside = self.found.set_aside
-        made = change_document(self.plain, aside, self.sources[0]) if self.reference else sessions_document(
-            [(self.names, self.plain)], aside)
-        return {**made, "damaged": damaged_runs(self.found.datasets)}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, self.sources[1] if self.reference else (*self.sources[0], *self.sources[1]))
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid diagnose --against --html`, or of `legid compare`. Raises `InputError`."""
-        origin = origin_from(self.sources[1] if self.reference else (*self.sources[0], *self.sources[1]))
-        write_change(path, [(self.names, self.plain)], origin, self.found.datasets)
+    def page(self, path: Path | str, files: Files | None = None) -> None:
+        """Write the page of `legid diagnose --against --html`. Raises `InputError`."""
+        write_change(path, [self], self.provenance or origin_of(), self.damaged, files)
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect, with the
@@ -85,21 +57,7 @@ class Change(Shown):
 
         Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
-        if what == "candidates":
-            rows = self.plain.detectable
-            return frame({"effect": [d.effect for d in rows], "joint": [d.joint for d in rows],
-                          "size": [d.name for d in rows], "change": [d.change for d in rows],
-                          "low": [d.ci95[0] for d in rows], "high": [d.ci95[1] for d in rows],
-                          "smallest_detectable": [d.size for d in rows], "unit": [d.unit for d in rows],
-                          "p_value": [d.p_value for d in rows]})
-        if what != "causes":
-            raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
-        pairs = [(c, s) for c in self.plain.causes for s in c.size]
-        return frame({"effect": [c.effect for c, _ in pairs], "kind": [c.kind for c, _ in pairs],
-                      "joint": [c.joint for c, _ in pairs], "size": [s.name for _, s in pairs],
-                      "value": [s.value for _, s in pairs], "low": [s.ci95[0] for _, s in pairs],
-                      "high": [s.ci95[1] for _, s in pairs], "unit": [s.unit for _, s in pairs],
-                      "p_value": [c.p_value for c, _ in pairs]})
+        return _frame([self], what)
 
     def plot(self) -> Figure:
         """Estimated change of the likeliest effects over the smallest that would have shown, with 95 % intervals.
@@ -108,47 +66,89 @@ class Change(Shown):
         """
         from legid.figures import change_figure
 
-        return change_figure(self.plain)
+        return change_figure(self)
 
     def __str__(self) -> str:
-        return change_text(self.plain, self.names)
+        return change_text(self)
 
     def _repr_html_(self) -> str:
-        table = html_table(CAUSE_HEADER, cause_rows(self.plain)) if self.plain.causes else ""
-        return paragraphs([f"{self.verdict}: {self.plain.sentence}"]) + table + paragraphs(
-            [f"Warning: {text}" for text in self.plain.warnings])
+        return _html(self)
 
 
-@dataclass(frozen=True, repr=False)
-class Watching(Shown):
-    """Runs of a rig, each tested for a change since the reference runs."""
+class Sessions(Shown, SessionsDocument, kw_only=True):
+    """Differences of sessions of a rig from the first one: `legid.sessions/1`, whose keys are its fields.
 
-    lines: tuple[Watched, ...]
-    """One a run, in their order."""
-    false_alarms: float
-    """Allowed per hour of motion."""
-    reference: tuple[str, ...]
-    """Names of the reference runs."""
-    sources: tuple[tuple[Source, ...], tuple[Source, ...]] = ((), ())
-    """The run files of the reference, and of the tested runs."""
+    `Sessions.read(path)` gives one of a file.
+    """
+
+    @property
+    def verdict(self) -> str:
+        """no_change, named, partial, one_of, changed_unexplained or fit_failed; of several pairs the gravest."""
+        return worst_of(self.pairs).verdict
+
+    def page(self, path: Path | str) -> None:
+        """Write the page of `legid compare --html` of sessions. Raises `InputError`."""
+        write_change(path, self.pairs, self.provenance or origin_of(), self.damaged)
+
+    def to_frame(self, what: str = "causes") -> DataFrame:
+        """Rows as those of `Change.to_frame`; of several pairs, `from` and `to` name the sessions.
+
+        Raises `ValueError` for any other `what`, `WorkError` without pandas.
+        """
+        return _frame(self.pairs, what)
+
+    def plot(self) -> Figure:
+        """Figure as that of `Change`, of the pair with the gravest verdict. Raises `WorkError` for one that failed."""
+        from legid.figures import change_figure
+
+        return change_figure(worst_of(self.pairs))
+
+    def __str__(self) -> str:
+        return sessions_text(self)
+
+    def _repr_html_(self) -> str:
+        return "".join(map(_html, self.pairs))
+
+
+def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
+    """`Change.to_frame` of one or of several."""
+    rows: list[tuple[Differing, tuple[object, ...]]]
+    if what == "candidates":
+        names = ("effect", "joint", "size", "change", "low", "high", "smallest_detectable", "unit", "p_value")
+        rows = [(pair, (d.effect, d.joint, d.size_name, d.change, *map(finite, d.ci95 or (None, None)),
+                        inf if d.smallest_detectable is None else d.smallest_detectable, d.unit, d.p_value))
+                for pair in pairs for d in pair.candidates]
+    elif what == "causes":
+        names = ("effect", "kind", "joint", "size", "value", "low", "high", "unit", "p_value")
+        rows = [(pair, (c.effect, c.kind, c.joint, s.name, s.value, *map(finite, s.ci95), s.unit, c.p_value))
+                for pair in pairs for c in pair.causes for s in c.size]
+    else:
+        raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
+    ends = zip(("from", "to"), (0, 1)) if len(pairs) > 1 else ()
+    return frame({name: [pair.sides[k].name for pair, _ in rows] for name, k in ends}
+                 | {name: [cells[k] for _, cells in rows] for k, name in enumerate(names)})
+
+
+def _html(found: Differing) -> str:
+    table = html_table(CAUSE_HEADER, cause_rows(found)) if found.causes else ""
+    return paragraphs([f"{found.verdict}: {found.sentence}"]) + table + paragraphs(
+        [f"Warning: {text}" for text in found.warnings])
+
+
+class Watching(Shown, WatchDocument, kw_only=True):
+    """Runs of a rig, each tested for a change since the reference runs: `legid.watch/1`, whose keys are its fields.
+
+    `Watching.read(path)` gives one of a file.
+    """
 
     @property
     def alarms(self) -> tuple[str, ...]:
         """Names of the runs with an alarm."""
-        return tuple(one.found.run for one in self.lines if one.found.alarm is not None)
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.watch/1`, as `legid watch --json` writes it."""
-        return watch_document(self.lines, self.false_alarms, self.reference, self.sources[0])
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, self.sources[1])
+        return tuple(one.run for one in self.watched if one.alarm is not None)
 
     def page(self, path: Path | str) -> None:
         """Write the page of `legid watch --html`. Raises `InputError`."""
-        write_watch(path, self.lines, self.false_alarms, origin_from(self.sources[1]))
+        write_watch(path, self, self.provenance or origin_of())
 
     def to_frame(self) -> DataFrame:
         """One row a run: state, motion [s], end of the block with the alarm [s], likeliest change, false alarms per
@@ -156,10 +156,10 @@ class Watching(Shown):
 
         Raises `WorkError` without pandas.
         """
-        worst = [one.found.alarm or one.found.worst for one in self.lines]
-        return frame({"run": [one.found.run for one in self.lines], "state": [one.state for one in self.lines],
-                      "seconds": [one.found.seconds for one in self.lines],
-                      "alarm_s": [None if one.found.alarm is None else one.found.alarm.end_s for one in self.lines],
+        worst = [one.worst for one in self.watched]
+        return frame({"run": [one.run for one in self.watched], "state": [one.state for one in self.watched],
+                      "seconds": [one.seconds for one in self.watched],
+                      "alarm_s": [None if one.alarm is None else one.alarm.end_s for one in self.watched],
                       "effect": [None if block is None else block.effect for block in worst],
                       "joint": [None if block is None else block.joint for block in worst],
                       "per_hour": [None if block is None else block.per_hour for block in worst]}, "run")
@@ -168,54 +168,36 @@ class Watching(Shown):
         """The test over the runs, with its threshold."""
         from legid.figures import watch_figure
 
-        return watch_figure(self.lines, self.false_alarms)
+        return watch_figure(self)
 
     def __str__(self) -> str:
-        return "\n".join([*map(line_text, self.lines), watch_summary(self.lines, self.false_alarms)])
+        return watch_text(self)
 
     def _repr_html_(self) -> str:
         return paragraphs(str(self).splitlines())
 
 
-@dataclass(frozen=True, repr=False)
-class Investigation(Shown):
-    """Recordings and diagnoses of a rig, step by step, until one cause stood or the investigation ended otherwise."""
+class Investigation(Shown, InvestigationDocument, kw_only=True):
+    """Recordings and diagnoses of a rig, step by step: `legid.investigation/1`, whose keys are its fields.
 
-    plain: PlainInvestigation
-    """The steps, with their diagnoses."""
-    folder: Path
-    """Where the runs, the diagnoses, the model and the journal are."""
+    `Investigation.read(path)` gives the journal of a folder.
+    """
 
     @property
     def verdict(self) -> str | None:
         """Verdict of the last diagnosis; None without one."""
-        return None if self.plain.found is None else self.plain.found.verdict
+        return None if self.answer is None else self.answer.verdict
 
-    @property
-    def ending(self) -> str | None:
-        """Reason for the end: settled, exhausted, budget, declined, stopped or failed."""
-        return self.plain.ending
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """Experiments and the diagnosis after them, in their order."""
-        return self.plain.steps
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.investigation/1`, as `legid investigate` writes it."""
-        return investigation_document(self.plain)
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, tuple(source_of(self.folder / run) for run in self.plain.runs))
+    def page(self, path: Path | str) -> None:
+        """Write the journal as a page. Raises `InputError`."""
+        write_investigation(path, self, self.provenance or origin_of())
 
     def to_frame(self) -> DataFrame:
         """One row a run: step, kind, plan [s], largest torque [N m], verdict after the step.
 
         Raises `WorkError` without pandas.
         """
-        rows = [(k, one, step.found) for k, step in enumerate(self.steps, 1) for one in step.experiments]
+        rows = [(k, one, step.after) for k, step in enumerate(self.steps, 1) for one in step.experiments]
         return frame({"run": [one.run for _, one, _ in rows], "step": [k for k, _, _ in rows],
                       "kind": [one.kind for _, one, _ in rows], "seconds": [one.seconds for _, one, _ in rows],
                       "peak_nm": [one.peak_nm for _, one, _ in rows],
@@ -228,10 +210,10 @@ class Investigation(Shown):
         """
         from legid.figures import investigation_figure
 
-        return investigation_figure(self.plain)
+        return investigation_figure(self)
 
     def __str__(self) -> str:
-        return "\n".join([*map(step_text, self.steps), investigation_text(self.plain)])
+        return "\n".join([*map(step_text, self.steps), investigation_text(self)])
 
     def _repr_html_(self) -> str:
         return paragraphs(str(self).splitlines())

@@ -12,11 +12,9 @@ from matplotlib.figure import Figure
 from daq import Dataset, FloatArray, WorkError
 from daq.recording import Plan
 from estimator import FitResult
-from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.documents import ComparisonDocument
-from experiments.judge import Investigation, Watched
+from experiments.documents import Answer, ComparisonDocument, InvestigationDocument, TuningDocument, WatchDocument
 from experiments.reports import (
     BLUE,
     GREEN,
@@ -28,7 +26,6 @@ from experiments.reports import (
     paint_watch,
     window,
 )
-from experiments.workflows import Tuning
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
@@ -135,11 +132,11 @@ def plan_figure(plan: Plan) -> Figure:
     return figure
 
 
-def tuning_figure(found: Tuning) -> Figure:
+def tuning_figure(found: TuningDocument) -> Figure:
     """Error of runs not fitted, a group of bars a joint: before, and with what was chosen. Raises `WorkError`."""
-    trials = [(label, colour, trial.rmse) for label, colour, trial in
-              (("before", BLUE, found.before), ("chosen", ORANGE, found.after))
-              if trial is not None and np.isfinite(trial.score)]
+    trials = [(label, colour, np.array([np.inf if x is None else x for x in rmse])) for label, colour, rmse in
+              (("before", BLUE, found.error_before), ("chosen", ORANGE, found.error_after)) if rmse is not None]
+    trials = [one for one in trials if np.isfinite(one[2]).all()]
     if not trials:
         raise WorkError("no set-up that was tried can be simulated; record richer motion")
     figure = NotebookFigure(figsize=(7.2, 2.6), layout="constrained")
@@ -170,9 +167,9 @@ def comparison_figure(found: ComparisonDocument) -> Figure:
     return figure
 
 
-def change_figure(found: Change) -> Figure:
+def change_figure(found: Answer) -> Figure:
     """Estimated change of the likeliest effects over the smallest detectable one. Raises `WorkError`."""
-    some = drawn_changes(found.detectable)
+    some = drawn_changes(found)
     if not some:
         raise WorkError(found.sentence)
     figure = NotebookFigure(figsize=(7.2, 0.9 + 0.24 * len(some)), layout="constrained")
@@ -182,16 +179,16 @@ def change_figure(found: Change) -> Figure:
     return figure
 
 
-def watch_figure(lines: Sequence[Watched], false_alarms: float) -> Figure:
+def watch_figure(found: WatchDocument) -> Figure:
     """False alarms per hour that each block of motion just reaches, over the runs."""
     figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
-    paint_watch(figure.subplots(), lines, false_alarms)
+    paint_watch(figure.subplots(), found)
     return figure
 
 
-def investigation_figure(done: Investigation) -> Figure:
+def investigation_figure(done: InvestigationDocument) -> Figure:
     """Held-out errors over the steps. Raises `WorkError` where no step has a diagnosis."""
-    if done.found is None:
+    if done.answer is None:
         raise WorkError(done.why)
     figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
     paint_errors(figure.subplots(), done)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq import Column, write_file
 from daq.recording import Plan
+from experiments.documents import TuningDocument
 from experiments.exchange import Guess as PlainGuess
 from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
@@ -15,16 +16,16 @@ from experiments.models import Gains as PlainGains
 from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
 from experiments.reports import (
     GUESS_HEADER,
-    Source,
+    TUNING_HEADER,
     guess_rows,
     guess_section,
     guess_table,
     guess_verdict,
+    tuning_rows,
+    tuning_text,
     write_document,
     write_page,
 )
-from experiments.workflows import Tuning as PlainTuning
-from experiments.workflows import tuning_document, tuning_rows, tuning_text
 from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
@@ -176,22 +177,11 @@ class Excitation(Shown):
         return paragraphs(str(self).splitlines())
 
 
-@dataclass(frozen=True, repr=False)
-class Tuning(Shown):
-    """Entries of a rig file that predict its records best, and what else was tried."""
+class Tuning(Shown, TuningDocument, kw_only=True):
+    """Entries of a rig file that predict its records best: `legid.tuning/1`, whose keys are its fields.
 
-    found: PlainTuning
-    sources: tuple[Source, ...] = ()
-    """The run files."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.tuning/1`, as `legid tune --json` writes it."""
-        return {**tuning_document(self.found), "damaged": []}
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document, self.sources)
+    `Tuning.read(path)` gives one of a file.
+    """
 
     def to_frame(self, what: str = "chosen") -> DataFrame:
         """`chosen`: one row an entry with its value, reason and effect; `tried`: one row a value that was tried.
@@ -199,25 +189,25 @@ class Tuning(Shown):
         Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
         if what == "tried":
-            return frame({name: [row[k] for row in self.found.tried]
-                          for k, name in enumerate(("entry", "value", "error"))})
+            return frame({"entry": [one.entry for one in self.tried], "value": [one.value for one in self.tried],
+                          "error": [one.error for one in self.tried]})
         if what != "chosen":
             raise ValueError(f"{what!r} is neither 'chosen' nor 'tried'")
-        return frame({name: [row[k] for row in tuning_rows(self.found)]
+        return frame({name: [row[k] for row in tuning_rows(self)]
                       for k, name in enumerate(("entry", "chosen", "why", "changes"))})
 
     def plot(self) -> Figure:
         """The error of runs not fitted, by joint, before and after. Raises `WorkError` where no trial converged."""
         from legid.figures import tuning_figure
 
-        return tuning_figure(self.found)
+        return tuning_figure(self)
 
     def __str__(self) -> str:
-        return tuning_text(self.found)
+        return tuning_text(self)
 
     def _repr_html_(self) -> str:
-        flags = [f"Warning: {text}" for text in (*map(str, self.found.aside), *self.found.flags)]
-        rows = tuning_rows(self.found)
-        head = html_table(["entry", "chosen", "why", "what it changes"], rows) if rows else paragraphs(
+        flags = [f"Warning: {text}" for text in (*map(str, self.set_aside), *self.flags)]
+        rows = tuning_rows(self)
+        head = html_table(TUNING_HEADER, rows) if rows else paragraphs(
             ["no change: rig.toml predicts best as it is"])
         return head + paragraphs(flags)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq import Column, InputError, Rig, load_rig
+from daq import Column, InputError, Rig
 from daq import Dataset as PlainDataset
 from experiments.exchange import (
     apply_map,
@@ -28,12 +28,11 @@ from experiments.excite import Band, Bench, Search, design, first_plan
 from experiments.models import Model, Tolerances, gains_of
 from experiments.session import prepare, require_whole
 from experiments.workflows import OF_MODELS, OF_RUNS, Wanted, check_wanted, export_kind, export_model_as
+from legid.given import RigLike, Runs, as_rig
 from legid.listings import Effects, Excitation, Gains, Guess
 from legid.results import Dataset
 
 __all__ = ["effects", "excite", "export", "gains", "guess", "read"]
-RigLike = Rig | Path | str
-Runs = PlainDataset | Sequence[PlainDataset]
 
 
 def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
@@ -68,7 +67,7 @@ def export(what: Model | PlainDataset | Path | str, out: Path | str, to: str | N
         raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
                          f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")
     if isinstance(what, Model):
-        known = None if rig is None else _rig(rig)
+        known = None if rig is None else as_rig(rig)
         if given:
             own = known or getattr(given[0], "rig", None)
             if own is None:
@@ -105,7 +104,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[s
         known = load_map(columns)
     require_scales(known, "columns")
     run = apply_map(read_imported(file), known, rate_hz)
-    return Dataset.of(run, None if rig is None else _rig(rig))
+    return Dataset.of(run, None if rig is None else as_rig(rig))
 
 
 def gains(model: Model, angle_rad: float = 0.05, speed_radps: float = 1.0, torque_nm: float = 1.0,
@@ -141,7 +140,7 @@ def excite(rig: RigLike, model: Model | None = None, *, seconds: float = 20.0, l
     limit, or a staircase of so many `holds`; their motion is unknown. `progress` is called with (done, total) starts.
     Raises `InputError` for a model of another rig or a plan beyond the limits, `WorkError` where no plan keeps them.
     """
-    known = _rig(rig)
+    known = as_rig(rig)
     if model is None:
         return Excitation(first_plan(known, seed, seconds, peak_nm, low_hz, high_hz, holds), rig=known)
     if peak_nm is not None or holds is not None:
@@ -156,7 +155,3 @@ def _check_rate(rate_hz: float | None) -> None:
     """Raises `InputError` for what is no rate [Hz]."""
     if rate_hz is not None and not 0.0 < rate_hz < 1e6:
         raise InputError("rate_hz", f"{rate_hz:g} is not a rate in Hz", "give samples per second")
-
-
-def _rig(rig: RigLike) -> Rig:
-    return rig if isinstance(rig, Rig) else load_rig(rig)

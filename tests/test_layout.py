@@ -27,7 +27,7 @@ ROOMS = {
                     ["workflows", "doctor", "calibrate", "live"], ["cli"]],
     "legid": [["tables", "figures"],
               ["results", "listings", "changes", "diagnoses", "fits", "validations", "comparisons"],
-              ["found_models"],
+              ["found_models", "given"],
               ["api", "tools"]],
     "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
                 ["run_casebook", "run_monte_carlo"]],

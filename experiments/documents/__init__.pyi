@@ -1,3 +1,10 @@
+from .change import Answer as Answer
+from .change import Candidate as Candidate
+from .change import Cause as Cause
+from .change import ChangeDocument as ChangeDocument
+from .change import Differing as Differing
+from .change import Pair as Pair
+from .change import SessionsDocument as SessionsDocument
 from .comparison import ComparisonDocument as ComparisonDocument
 from .comparison import ErrorPair as ErrorPair
 from .comparison import Value as Value
@@ -18,7 +25,16 @@ from .document import keys_table as keys_table
 from .document import known as known
 from .fit import FitDocument as FitDocument
 from .fit import Parameter as Parameter
+from .investigation import Belief as Belief
+from .investigation import Experiment as Experiment
+from .investigation import InvestigationDocument as InvestigationDocument
+from .investigation import Step as Step
 from .known import DOCUMENTED as DOCUMENTED
+from .tuning import Entry as Entry
+from .tuning import Time as Time
+from .tuning import Tried as Tried
+from .tuning import TuningDocument as TuningDocument
+from .tuning import What as What
 from .validation import Horizon as Horizon
 from .validation import RunFit as RunFit
 from .validation import Segment as Segment
@@ -26,3 +42,6 @@ from .validation import ValidationDocument as ValidationDocument
 from .validation import segment_of as segment_of
 from .walk import Walk as Walk
 from .walk import Walked as Walked
+from .watch import Block as Block
+from .watch import WatchDocument as WatchDocument
+from .watch import WatchedRun as WatchedRun

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self, get_args, get_origin, get_type_hints
 
 import msgspec
-from msgspec import Meta, Struct, UnsetType
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from daq import InputError, read_bytes
 from experiments.console import write_json
@@ -34,6 +34,9 @@ def finite(value: Number) -> float:
 
 class Document(Struct, kw_only=True):
     """A JSON document: fields are keys, unknown keys of a file are ignored, keys with a default may be missing."""
+
+    schema: str | UnsetType = UNSET
+    """Stands first in a file; a part of a document has none."""
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
@@ -62,27 +65,34 @@ def json_schema(kind: type[Struct]) -> dict[str, Any]:
 
 def described(kind: type[Struct]) -> Iterator[tuple[str, str, type[Struct] | None]]:
     """Key, meaning and the struct below it, if any, of the documented fields of `kind`, in their order."""
+    keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__))
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        if name in kind.__struct_fields__:
+        if name in keys:
             meaning = next((one.description for one in get_args(hint) if isinstance(one, Meta)), None) or ""
-            yield name, meaning, next(_structs(hint), None)
+            yield keys[name], meaning, next(_structs(hint), None)
 
 
 def _structs(hint: object) -> Iterator[type[Struct]]:
     if isinstance(hint, type) and issubclass(hint, Struct) and get_origin(hint) is None:
-        if hint is not Origin:
-            yield hint
+        yield hint
         return
     for part in get_args(hint):
         yield from _structs(part)
 
 
 def keys_table(kind: type[Struct]) -> str:
-    """Markdown table of the keys of `kind` for a page in docs/; keys of structs below have rows, `runs.rmse`."""
+    """Markdown table of the keys of `kind`; keys of structs below stand in their own rows, `runs.rmse`.
+
+    A struct has no rows where it is told above, or where a link in the meaning leads to its keys.
+    """
+    told: set[type[Struct]] = set()
+
     def rows(one: type[Struct], before: str) -> Iterator[str]:
         for key, meaning, below in described(one):
-            yield f"| `{before}{key}` | {meaning.replace('](docs/', '](')} |"
-            if below is not None:
+            if meaning:
+                yield f"| `{before}{key}` | {meaning.replace('](docs/', '](')} |"
+            if below is not None and below not in told and "](#" not in meaning:
+                told.add(below)
                 yield from rows(below, f"{before}{key}.")
 
     return "\n".join(["| key | meaning |", "| --- | --- |", *rows(kind, "")]) + "\n"

@@ -28,6 +28,7 @@ from .investigation import Investigation as Investigation
 from .investigation import Step as Step
 from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files
+from .next_steps import next_of_change as next_of_change
 from .next_steps import next_step as next_step
 from .next_steps import with_names as with_names
 from .numbers import Estimate as Estimate
@@ -50,4 +51,3 @@ from .trust import fits_of as fits_of
 from .trust import model_contradictions as model_contradictions
 from .trust import validation_trust as validation_trust
 from .trust import with_fit_trust as with_fit_trust
-from .watched import Watched as Watched

@@ -1,4 +1,4 @@
-"""The one next step after a diagnosis: where the structure sits, what to record or declare, and the command."""
+"""The one next step after a diagnosis or a change: where the structure sits, what to record, and the command."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from estimator.change import Change, Kind
 from estimator.diagnosis import Diagnosis, Remainder
 
 SESSION = "legid excite --rig RIG --model MODEL.json --session NEXT"
@@ -26,6 +27,13 @@ MOST_RUNS = 12
 SENSORS = {"gyro": "legid calibrate imu --rig RIG", "accel": "legid calibrate imu --rig RIG",
            "encoder": "legid doctor --rig RIG"}
 """Start of a channel that reads wrongly -> the command that checks it."""
+
+FIT = "legid fit RUN... --rig RIG --model-out MODEL.json"
+ACTIONS: dict[Kind, str] = {
+    "parameters": f"Fit the model to the new runs: {FIT}",
+    "mechanics": f"Inspect the joint. Then fit the model to the new runs: {FIT}",
+    "sensors": "Check that sensor: legid doctor --rig RIG", "timing": "Check both clocks: legid doctor --rig RIG",
+    "environment": "Check how the stand is fixed", "noise": "Check the cable of that sensor: legid doctor --rig RIG"}
 
 
 @dataclass(frozen=True)
@@ -90,3 +98,17 @@ def _of_remainder(left: Remainder) -> str:
     joint = left.joint or 1
     return (f"The residual torque is at joint {joint} and depends on {variable} ({left.depends_on}). "
             f"{action.format(j=joint)}: {session}")
+
+
+def next_of_change(found: Change) -> str:
+    """One line: what to do, and the command."""
+    if found.verdict == "fit_failed":
+        return "Look at each run alone: legid fit RUN... --rig RIG --each"
+    if found.verdict == "no_change":
+        return "Go on with the model that you have; more or longer runs show smaller changes"
+    if found.verdict == "changed_unexplained":
+        return "Diagnose the new runs without the reference: legid diagnose RUN... --rig RIG --html PAGE"
+    if found.verdict == "one_of":
+        return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --separate "
+                "DIAGNOSIS.json --out PLAN")
+    return ACTIONS[found.causes[0].kind]

@@ -1,12 +1,10 @@
 from .change import CAUSE_HEADER as CAUSE_HEADER
-from .change import REFERENCE_NAMES as REFERENCE_NAMES
 from .change import cause_rows as cause_rows
-from .change import change_document as change_document
 from .change import change_text as change_text
-from .change import sessions_document as sessions_document
 from .change import sessions_text as sessions_text
 from .change_page import drawn_changes as drawn_changes
 from .change_page import paint_changes as paint_changes
+from .change_page import worst_of as worst_of
 from .change_page import write_change as write_change
 from .chart import Line as Line
 from .comparison import comparison_text as comparison_text
@@ -56,7 +54,6 @@ from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict
-from .investigation import investigation_document as investigation_document
 from .investigation import investigation_text as investigation_text
 from .investigation import step_text as step_text
 from .investigation_page import paint_errors as paint_errors
@@ -78,6 +75,9 @@ from .run_list import list_runs as list_runs
 from .run_list import other_tables as other_tables
 from .run_list import runs_document as runs_document
 from .run_list import runs_text as runs_text
+from .tuning import TUNING_HEADER as TUNING_HEADER
+from .tuning import tuning_rows as tuning_rows
+from .tuning import tuning_text as tuning_text
 from .validation_page import errors_text as errors_text
 from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows
@@ -87,7 +87,7 @@ from .validation_page import whole_validation_text as whole_validation_text
 from .validation_page import write_validation as write_validation
 from .watch import WATCH_SCHEMA as WATCH_SCHEMA
 from .watch import line_text as line_text
-from .watch import watch_document as watch_document
 from .watch import watch_summary as watch_summary
+from .watch import watch_text as watch_text
 from .watch_page import paint_watch as paint_watch
 from .watch_page import write_watch as write_watch

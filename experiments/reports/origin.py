@@ -43,8 +43,8 @@ def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()
     return msgspec.structs.replace(model, provenance=told)
 
 
-def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
-    """The last section of a page."""
+def origin_section(origin: Origin, runs: Sequence[Dataset] = (), damaged: Sequence[Mapping[str, str]] = ()) -> Section:
+    """The last section of a page; damaged runs are told of `runs`, or as a document has them."""
     rows = [[source.file + (f" in {source.inside}" if source.inside else ""), source.sha256]
             for source in origin.sources]
     how = ["Command:"] if origin.command else []
@@ -56,7 +56,8 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
                     "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,
-                   notes=[*(f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)), *use], folded=True)
+                   notes=[*(f"{d['run']} is damaged: {d['what']}" for d in (*damaged_runs(runs), *damaged)), *use],
+                   folded=True)
 
 
 def _model_of(origin: Origin) -> str:

@@ -47,9 +47,6 @@ from .simulate import plan_for as plan_for
 from .simulate import simulate_run as simulate_run
 from .tune import Tuning as Tuning
 from .tune import tune_runs as tune_runs
-from .tune import tuning_document as tuning_document
-from .tune import tuning_rows as tuning_rows
-from .tune import tuning_text as tuning_text
 from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
 from .validate import model_of_fit as model_of_fit

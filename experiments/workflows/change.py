@@ -50,17 +50,16 @@ class ChangeFound:
         return self.prepared.setup.datasets
 
 
-def find_change(runs: Runs, against: Runs, rig: Rig, damaged: bool = False) -> ChangeFound:
+def find_change(runs: Runs, against: Runs, rig: Rig) -> ChangeFound:
     """Change between `runs` and the earlier runs `against` of the same rig, all prepared together. Raises
     `InputError` for runs that do not belong together."""
     def compare(before: Sequence[Dataset], after: Sequence[Dataset], setup: Setup) -> Change:
         return detect_change(after, learn_reference(before, setup.mechanism, setup.options, setup.gear_ratio))
 
-    return _found(compare, (against, runs), ("reference", ""), rig, damaged)
+    return _found(compare, (against, runs), ("reference", ""), rig)
 
 
-def find_difference(a: Runs, b: Runs, names: tuple[str, str], rig: Rig, damaged: bool = False, pairs: int = 1
-                    ) -> ChangeFound:
+def find_difference(a: Runs, b: Runs, names: tuple[str, str], rig: Rig, pairs: int = 1) -> ChangeFound:
     """Change between the sessions `a` and `b`, called `names`: sizes are those of b less those of a. Both are
     prepared together. `pairs` is the number of comparisons that are made. Raises `InputError` for runs that do not
     belong together."""
@@ -68,7 +67,7 @@ def find_difference(a: Runs, b: Runs, names: tuple[str, str], rig: Rig, damaged:
         return compare_sessions(before, after, setup.mechanism, setup.options, gear_ratio=setup.gear_ratio,
                                 pairs=pairs)
 
-    return _found(compare, (a, b), names, rig, damaged)
+    return _found(compare, (a, b), names, rig)
 
 
 @dataclass(frozen=True)
@@ -79,13 +78,12 @@ class SessionPair:
     b: Sequence[Dataset]
     names: tuple[str, str]
     rig: Rig
-    damaged: bool
     pairs: int
     """Number of comparisons that are made."""
 
 
 def _difference(pair: SessionPair) -> ChangeFound:
-    return find_difference(pair.a, pair.b, pair.names, pair.rig, pair.damaged, pair.pairs)
+    return find_difference(pair.a, pair.b, pair.names, pair.rig, pair.pairs)
 
 
 def find_differences(pairs: Sequence[SessionPair], executor: Executor, done: Callable[[int, str], None]
@@ -99,12 +97,12 @@ def find_differences(pairs: Sequence[SessionPair], executor: Executor, done: Cal
 
 
 def _found(compare: Callable[[Sequence[Dataset], Sequence[Dataset], Setup], Change], sides: tuple[Runs, Runs],
-           names: tuple[str, str], rig: Rig, damaged: bool) -> ChangeFound:
+           names: tuple[str, str], rig: Rig) -> ChangeFound:
     """Both sessions prepared together, their runs called by `names`, then compared."""
     known_effects()
-    before, after = ([replace(d, name=f"{name} {d.name}".strip()) for d in as_datasets(some, rig, damaged)]
+    before, after = ([replace(d, name=f"{name} {d.name}".strip()) for d in as_datasets(some, rig)]
                      for name, some in zip(names, sides))
-    prepared = prepare([*before, *after], rig, damaged=damaged)
+    prepared = prepare([*before, *after], rig)
     setup = without_benchmark(prepared.setup)
     require_one_rig(setup.datasets)
     first = {d.name for d in before}
@@ -125,7 +123,7 @@ def _concluded(compare: Callable[[], Change], setup: Setup, prepared: Prepared) 
                                not_testable=(*found.not_testable, *zeroed)), prepared)
 
 
-def find_change_since(runs: Runs, model: Model, where: str, rig: Rig, damaged: bool = False) -> ChangeFound:
+def find_change_since(runs: Runs, model: Model, where: str, rig: Rig) -> ChangeFound:
     """Change against the runs that `model`, of the file `where`, was made from. Raises `InputError` for a
     model that does not hold what that needs, or is of another rig."""
     known_effects()
@@ -133,7 +131,7 @@ def find_change_since(runs: Runs, model: Model, where: str, rig: Rig, damaged: b
         raise InputError(where, "does not hold the encoders' zeros, which this rig declares to differ from run to run",
                          "give the runs that it was fitted to")
     sensors = None if model.reference is None else model.reference.sensors
-    prepared = prepare(runs, rig, sensors=sensors, damaged=damaged)
+    prepared = prepare(runs, rig, sensors=sensors)
     setup = without_benchmark(prepared.setup)
     require_one_rig(setup.datasets)
     require_alike(setup.datasets)

@@ -17,8 +17,8 @@ from drivers import DriverError
 from estimator import FitError
 from estimator.diagnosis import Diagnosis
 from estimator.signals import angle_column
-from experiments.console import make_directory, write_json, write_text
-from experiments.documents import DiagnosisDocument
+from experiments.console import make_directory, write_text
+from experiments.documents import DiagnosisDocument, InvestigationDocument
 from experiments.excite import (
     Band,
     Bench,
@@ -39,7 +39,6 @@ from experiments.judge import Ending, Experiment, Investigation, Step, check_sou
 from experiments.models import Model, save_model
 from experiments.provenance import Origin
 from experiments.reports import (
-    investigation_document,
     write_diagnosis,
     write_investigation,
 )
@@ -344,9 +343,10 @@ class Investigator:
         if self._pending:
             steps.append(Step(tuple(self._pending), None, self.clock.spent_s))
         done = Investigation(tuple(steps), ending, why, self.clock.budget_s, self.clock.spent_s)
-        origin = self.origin(self.files)
-        write_json(self.out / "investigation.json", {**investigation_document(done), "provenance": origin})
-        write_investigation(self.out / "investigation.html", done, origin)
+        document, origin = InvestigationDocument.of(done), self.origin(self.files)
+        document.provenance = origin
+        document.to_json(self.out / "investigation.json")
+        write_investigation(self.out / "investigation.html", document, origin)
         return done
 
     @property

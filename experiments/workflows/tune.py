@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec import structs
 
 from daq import InputError, Rig, set_values, write_file
 from estimator.prediction import SHORT_S
-from experiments.console import text_table
+from experiments.documents import Entry, Tried, TuningDocument
 from experiments.session import Choice, SetAside, load_runs, with_choices
 from experiments.workflows.fit import LEVELS
 from experiments.workflows.trial import Bench, Trial, errors_of
-from experiments.workflows.tune_times import GAIN, Gain, times_document, times_text, vary_times
+from experiments.workflows.tune_times import GAIN, Gain, vary_times
 
+D = TypeVar("D", bound=TuningDocument)
 DISAGREE = 0.05
 """Share of itself by which a parameter may differ between grids without a word."""
 
@@ -40,6 +41,15 @@ class Tuning:
     def predicts(self) -> bool:
         """Whether any fit to half of the runs predicts the other half; if none does, nothing is chosen."""
         return self.after is not None and bool(np.isfinite(self.after.score))
+
+    def as_document(self, kind: type[D]) -> D:
+        """`legid.tuning/1` as `kind`, the struct or one derived from it, without its provenance."""
+        before, after = (None if one is None else tuple(one.rmse.tolist()) for one in (self.before, self.after))
+        return kind(chosen=tuple(Entry(**choice.document) for choice in self.choices),
+                    times=tuple(g.entry for g in self.gains) if self.predicts else (),
+                    tried=tuple(Tried(entry=entry, value=value, error=error) for entry, value, error in self.tried),
+                    error_before=before, error_after=after, horizon_s=SHORT_S, flags=tuple(self.flags),
+                    set_aside=self.aside)
 
 
 def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None, damaged: bool = False,
@@ -90,12 +100,12 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
     return out
 
 
-Entry = tuple[str, str, Callable[[Trial], Sequence[Any]], str]
+Open = tuple[str, str, Callable[[Trial], Sequence[Any]], str]
 
 
-def _entries(rig: Rig) -> list[Entry]:
+def _entries(rig: Rig) -> list[Open]:
     """Table, key, values to try given the best trial so far, and what they are for; entries stated stay."""
-    entries: list[Entry] = []
+    entries: list[Open] = []
     if rig.noise.encoder_rad is None:
         entries.append(("noise", "encoder_rad", lambda best: [float(f"{times * best.encoder:.1g}") for times in LEVELS]
                         if best.encoder else [], "angles that err by more than their encoder shows"))
@@ -124,44 +134,7 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(list(value) if isinstance(value, tuple) else value)
 
 
-def tuning_rows(found: Tuning) -> list[list[str]]:
-    """Entry, what was chosen, why and what it changes."""
-    return [[f"[{c.table}] {c.key}", _text(c.value), c.why, c.changes] for c in found.choices]
-
-
-def tuning_text(found: Tuning) -> str:
-    """Text for a person: the gain first, then one table."""
-    rows = tuning_rows(found)
-    what = f"rms prediction error over {SHORT_S:g} s on held-out runs, by joint"
-    if not found.predicts or found.before is None or found.after is None:
-        lines = ["nothing is chosen: no fit to half of the runs predicts the other half.",
-                 "Run legid fit on the same runs: its first lines say what is wrong."]
-    elif rows:
-        lines = [f"{len(rows)} {'entry' if len(rows) == 1 else 'entries'} of rig.toml chosen; {what}: "
-                 f"{errors_of(found.before)} before, {errors_of(found.after)} after",
-                 "", text_table(["entry", "chosen", "why", "what it changes"], rows, set())]
-    else:
-        lines = [f"no change: rig.toml predicts best as it is; {what}: {errors_of(found.after)}"]
-    if found.predicts:
-        lines += ["", times_text(found.gains)]
-    lines += [f"warning: {run}" for run in found.aside]
-    lines += [f"warning: {flag}" for flag in found.flags]
-    return "\n".join(lines)
-
-
-def tuning_document(found: Tuning) -> dict[str, Any]:
-    """`legid.tuning/1`."""
-    return {"schema": "legid.tuning/1",
-            "chosen": [choice.document for choice in found.choices],
-            "times": times_document(found.gains) if found.predicts else [],
-            "tried": [{"entry": entry, "value": value, "error": error} for entry, value, error in found.tried],
-            "error_before": None if found.before is None else found.before.rmse.tolist(),
-            "error_after": None if found.after is None else found.after.rmse.tolist(),
-            "horizon_s": SHORT_S, "doubts": found.flags,
-            "set_aside": [run.document for run in found.aside]}
-
-
-def write_choices(choices: Sequence[Choice], path: Path | str) -> None:
+def write_choices(choices: Sequence[Entry], path: Path | str) -> None:
     """Put the choices into the rig file at `path`, whole or not at all, comments kept. Raises `InputError`."""
     tables: dict[str, dict[str, object]] = {}
     for choice in choices:

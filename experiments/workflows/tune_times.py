@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from daq import Rig
 from estimator import FitError
 from estimator.model import lag, ticks_of
+from experiments.documents import Time, What
 from experiments.session import Choice, with_choices
 from experiments.workflows.trial import Bench, Trial, errors_of
 
@@ -52,12 +53,17 @@ class Times(NamedTuple):
 class Gain(NamedTuple):
     """Gain of one of rate, hold and delay."""
 
-    what: str
-    """rate, hold or delay"""
+    what: What
     before: Any
     after: Any
     share: float
     """Relative reduction of the prediction error against the former value, the others as chosen; 0 where it stays"""
+
+    @property
+    def entry(self) -> Time:
+        """For the document."""
+        return Time(what=self.what, before=self.before, after=self.after,
+                    gain=self.share if np.isfinite(self.share) else None)
 
 
 class FoundTimes(NamedTuple):
@@ -99,8 +105,8 @@ def vary_times(bench: Bench, rig: Rig, now: Trial, done: Callable[[float], None]
         done(0.5 + 0.5 * k / len(more))
         attempt(times)
     best = _chosen(tried, start)
-    gains = tuple(_gain(what, name, best, start, attempt) for what, name in (
-        ("rate", "rate_hz"), ("hold", "hold"), ("delay", "delay_s")))
+    gains = (_gain("rate", "rate_hz", best, start, attempt), _gain("hold", "hold", best, start, attempt),
+             _gain("delay", "delay_s", best, start, attempt))
     return FoundTimes(_choices(best, start, tried), tried[best], gains, _rows(tried, start),
                       {t.rate_hz: trial for t, trial in tried.items() if t[1:] == start[1:]})
 
@@ -152,7 +158,7 @@ def _chosen(tried: Mapping[Times, Trial], start: Times) -> Times:
     return same if same in tried and tried[same].score <= tried[best].score - np.log(1.0 - GAIN) else best
 
 
-def _gain(what: str, name: str, best: Times, start: Times, attempt: Callable[[Times], Trial]) -> Gain:
+def _gain(what: What, name: str, best: Times, start: Times, attempt: Callable[[Times], Trial]) -> Gain:
     """Of one part of `best`, against its value at the `start`."""
     before, after = getattr(start, name), getattr(best, name)
     if before == after:
@@ -185,26 +191,3 @@ def _choices(best: Times, start: Times, tried: Mapping[Times, Trial]) -> list[Ch
         found.append(Choice(table, key, value, WHY[key],
                             f"error of held-out runs {errors_of(back)} -> {errors_of(tried[best])}"))
     return found
-
-
-def times_text(gains: Sequence[Gain]) -> str:
-    """One sentence on what rate, hold and delay gain."""
-    parts = [f"{g.what} {_value(g.what, g.after)} ({_share(g)})" for g in gains]
-    return f"rate, hold and delay were varied together: {', '.join(parts)}"
-
-
-def _share(gain: Gain) -> str:
-    if gain.before == gain.after:
-        return "as it was"
-    before = f"instead of {_value(gain.what, gain.before)}"
-    return f"{before}: error {100 * abs(gain.share):.0f} % {'smaller' if gain.share >= 0.0 else 'larger'}"
-
-
-def _value(what: str, value: Any) -> str:
-    return {"rate": f"{value:g} Hz", "delay": f"{1e3 * value:.3g} ms"}[what] if what != "hold" else f"'{value}'"
-
-
-def times_document(gains: Sequence[Gain]) -> list[dict[str, Any]]:
-    """`times` of `legid.tuning/1`."""
-    return [{"what": g.what, "before": g.before, "after": g.after,
-             "gain": g.share if np.isfinite(g.share) else None} for g in gains]

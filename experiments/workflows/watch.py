@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 from daq import Dataset, InputError, Rig
 from daq.runs import started_at
 from estimator import FitError
-from estimator.change import Watch, WatchedRun, detect_change, learn_reference, start_watch
-from experiments.judge import Watched
+from estimator.change import Watch, detect_change, learn_reference, start_watch
+from experiments.documents import WatchedRun
 from experiments.models import Model, known_effects, reference_of
 from experiments.session import Runs, prepare, require_one_rig, require_sound, setup_of
 from experiments.workflows.change import SUFFIXES, runs_in
@@ -37,7 +37,7 @@ class Watcher:
     damaged: bool = False
     alarmed: list[Dataset] = field(default_factory=list)
 
-    def watch(self, run: Path | str | Dataset) -> Watched:
+    def watch(self, run: Path | str | Dataset) -> WatchedRun:
         """The next run, a file or a data set. One that cannot be read or used is not tested; the reason is given."""
         reference = self.test.reference
         try:
@@ -47,7 +47,7 @@ class Watcher:
             require_sound(setup)
         except (InputError, FitError) as error:
             name = run.name if isinstance(run, Dataset) else Path(run).name
-            return Watched(WatchedRun(name, failed=str(error)))
+            return WatchedRun(run=name, state="not tested", seconds=0.0, failed=str(error))
         recorded = None if isinstance(run, Dataset) or Path(run).suffix.lower() != ".mcap" else started_at(run)
         with threadpool_limits(1):
             data = setup.datasets[0]
@@ -57,7 +57,7 @@ class Watcher:
             change = detect_change(self.alarmed, reference) if len(self.alarmed) > 1 else None
         if change is not None and change.verdict == "no_change":
             self.alarmed = []
-        return Watched(found, change, recorded)
+        return WatchedRun.of(found, change, recorded)
 
 
 def watcher_of(against: Runs | Model, where: str, rig: Rig, false_alarms: float, damaged: bool = False) -> Watcher:

@@ -185,10 +185,11 @@ def outcome(number: int) -> Outcome:
         finally:
             del EFFECTS[name]
         work = time.process_time() - began
-        last = done.plain.found
+        causes = () if done.answer is None else tuple(
+            dict.fromkeys(label(c.effect, c.joint) for c in done.answer.causes))
         motion = sum(one.seconds for step in done.steps for one in step.experiments)
         files = sorted((folder / "out").glob("run*.mcap"))
-        investigation = Answer(done.verdict or "none yet", () if last is None else causes_of(last), len(files), motion,
+        investigation = Answer(done.verdict or "none yet", causes, len(files), motion,
                                max(work - motion * rate, 0.0), tripped(files), done.ending or "")
     return Outcome("" if hidden is NOTHING else label(hidden.effect, hidden.joint), reached, factor, investigation,
                    session)

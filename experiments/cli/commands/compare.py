@@ -63,11 +63,10 @@ def _compare_sessions(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import InputError, WorkError
-    from experiments.console import command_line, work_bar, write_json
+    from experiments.console import command_line
     from experiments.provenance import origin_of
-    from experiments.reports import sessions_document, sessions_text, with_origin, write_change
-    from experiments.session import as_datasets
-    from experiments.workflows import SessionPair, choose_executor, find_differences, runs_in, session_names
+    from experiments.workflows import runs_in, session_names
+    from legid import compare_sessions, load
 
     for option, given in (("--sensors", args.sensors), ("--horizons", args.horizons)):
         if given:
@@ -83,24 +82,17 @@ def _compare_sessions(args: argparse.Namespace) -> int:
     every = [path for own in files for path in own]
     chosen = chosen_rig(args, every)
     origin = origin_of(every, chosen.source, command=command_line())
-    sessions = [as_datasets(own, chosen.rig, args.damaged) for own in files]
-    count = len(names) - 1
-    jobs = [SessionPair(sessions[0], other, (names[0], name), chosen.rig, args.damaged, count)
-            for name, other in zip(names[1:], sessions[1:])]
-    executor = choose_executor(1 if count == 1 else args.workers, args.cluster)
-    with work_bar("comparing", count, "session") as done:
-        found = find_differences(jobs, executor, done)
-    pairs = [((names[0], name), one.change) for name, one in zip(names[1:], found)]
-    if any(one.change.verdict != "fit_failed" for one in found):
-        print(sessions_text(pairs), flush=True)
-    runs = [run for own in sessions for run in own]
+    sessions = [load(own, chosen.rig, args.damaged) for own in files]
+    found = compare_sessions(sessions, names, chosen.rig, args.workers, args.cluster)
+    found.provenance = origin
+    if any(pair.verdict != "fit_failed" for pair in found.pairs):
+        print(found, flush=True)
     if args.json:
-        document = sessions_document(pairs, [run for one in found for run in one.set_aside])
-        write_json(args.json, with_origin(document, origin, runs))
+        found.to_json(args.json)
     if args.html:
-        write_change(args.html, pairs, origin, runs)
-    if all(one.change.verdict == "fit_failed" for one in found):
-        raise WorkError(found[0].change.sentence)
+        found.page(args.html)
+    if all(pair.verdict == "fit_failed" for pair in found.pairs):
+        raise WorkError(found.pairs[0].sentence)
     return 0
 
 

@@ -84,12 +84,11 @@ def run(args: argparse.Namespace) -> int:
 def _run_against(args: argparse.Namespace) -> int:
     """Say what changed since the reference runs. Raises `WorkError` with the verdict fit_failed."""
     from daq import InputError, WorkError
-    from experiments.console import command_line, write_json
+    from experiments.console import command_line
     from experiments.judge import Files
-    from experiments.models import load_model
-    from experiments.provenance import origin_of, source_of
-    from experiments.reports import REFERENCE_NAMES, change_document, change_text, with_origin, write_change
-    from experiments.workflows import find_change, find_change_since, runs_in
+    from experiments.provenance import origin_of
+    from experiments.workflows import runs_in
+    from legid import diagnose, load
 
     for option, given in (("--model-out", args.model_out), ("--reference", args.reference),
                           ("--fix", args.fix)):
@@ -99,20 +98,19 @@ def _run_against(args: argparse.Namespace) -> int:
     models = [path for path in args.against if path.lower().endswith(".json")]
     if models and len(args.against) > 1:
         raise InputError(models[0], "is a model, and is not the only reference", "give one model, or runs alone")
-    against = models or runs_in(args.against)
+    against = runs_in(args.against) if not models else []
     chosen = chosen_rig(args, runs)
     origin = origin_of(runs, chosen.source, models[0] if models else None, command=command_line())
-    found = find_change_since(runs, load_model(models[0]), models[0], chosen.rig, args.damaged) if models else \
-        find_change(runs, against, chosen.rig, args.damaged)
+    later = load(runs, chosen.rig, args.damaged)
+    found = diagnose(later, chosen.rig, against=models[0] if models else load(against, chosen.rig, args.damaged))
+    found.provenance = origin
     files = Files(runs, chosen.file, document=args.json)
-    if found.change.verdict != "fit_failed":
-        print(change_text(found.change, files=files), flush=True)
-    datasets = found.datasets
+    if found.verdict != "fit_failed":
+        print(found.text(files), flush=True)
     if args.json:
-        document = change_document(found.change, found.set_aside, tuple(map(source_of, against)))
-        write_json(args.json, with_origin(document, origin, datasets))
+        found.to_json(args.json)
     if args.html:
-        write_change(args.html, [(REFERENCE_NAMES, found.change)], origin, datasets, files)
-    if found.change.verdict == "fit_failed":
-        raise WorkError(found.change.sentence)
+        found.page(args.html, files)
+    if found.verdict == "fit_failed":
+        raise WorkError(found.sentence)
     return 0

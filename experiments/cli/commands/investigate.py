@@ -52,28 +52,20 @@ def run(args: argparse.Namespace) -> int:
     """Investigate, tell each step, then the answer."""
     from pathlib import Path
 
-    from daq import WorkError, load_rig
-    from experiments.console import command_line, stages
-    from experiments.judge import Step
-    from experiments.provenance import origin_of, source_of
+    from daq import WorkError
+    from experiments.console import stages
+    from experiments.documents import Step
     from experiments.reports import investigation_text, step_text
-    from experiments.rig import confirm_estop, confirm_motion, rig_path
-    from experiments.workflows import Asked, investigate_rig
-
-    path, out = rig_path(args.rig), Path(args.out)
-    source, rig = source_of(path), load_rig(path)
-
-    def confirm(what: str) -> bool:
-        confirm_estop(rig, args.estop_at_hand)
-        return confirm_motion(what, args.yes)
+    from experiments.rig import rig_path
+    from legid import investigate
 
     def tell(step: Step) -> None:
         print(step_text(step), flush=True)
 
+    out = Path(args.out)
     with stages("investigating") as show:
-        done = investigate_rig(path, out, 60.0 * args.budget,
-                               Asked(confirm, args.emulate, args.seed, args.workers, show, tell),
-                               lambda files: origin_of(files, source, seed=args.seed, command=command_line()))
+        done = investigate(rig_path(args.rig), out, args.budget, args.emulate, args.seed, args.yes,
+                           args.estop_at_hand, args.workers, show, tell)
     print(investigation_text(done))
     print(f"{out / 'investigation.html'}: the journal; {out}: {len(done.runs)} runs")
     if done.ending == "failed":

@@ -28,23 +28,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Choose, print, write what was asked for."""
-    from experiments.console import command_line, note, stages, write_json
+    from experiments.console import command_line, note, stages
     from experiments.provenance import origin_of
-    from experiments.reports import with_origin
     from experiments.rig import rig_path
-    from experiments.workflows import tune_runs, tuning_document, tuning_text, write_choices
+    from experiments.workflows import write_choices
+    from legid import tune
 
     where = rig_path(args.rig) if args.write else None
     chosen = chosen_rig(args, args.runs)
     with stages("tuning") as show:
-        found = tune_runs(args.runs, chosen.rig, args.sensors, args.damaged, show, dict(args.fix))
-    print(tuning_text(found))
+        found = tune(args.runs, chosen.rig, args.sensors, args.damaged, show, dict(args.fix))
+    print(found)
     if args.json:
-        origin = origin_of(args.runs, chosen.source, command=command_line())
-        write_json(args.json, with_origin(tuning_document(found), origin, ()))
-    if where is not None and found.choices:
-        write_choices(found.choices, where)
-        note(f"{where}: {', '.join(f'[{c.table}] {c.key}' for c in found.choices)} written")
-    elif found.choices:
+        found.provenance = origin_of(args.runs, chosen.source, command=command_line())
+        found.to_json(args.json)
+    if where is not None and found.chosen:
+        write_choices(found.chosen, where)
+        note(f"{where}: {', '.join(f'[{c.table}] {c.key}' for c in found.chosen)} written")
+    elif found.chosen:
         print("next: the same command with --write puts these entries into the rig file")
     return 0 if found.predicts else 1

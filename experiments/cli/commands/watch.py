@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 from experiments.cli.arguments import add_force, add_output, add_rig, chosen_rig
 
@@ -43,12 +44,11 @@ def _rate(text: str) -> float:
 def run(args: argparse.Namespace) -> int:
     """Test, print a line a run, write what was asked for after each."""
     from daq import InputError
-    from experiments.console import busy, command_line, note, warn, write_json
-    from experiments.judge import Watched
-    from experiments.models import load_model
-    from experiments.provenance import origin_of, source_of
-    from experiments.reports import line_text, watch_document, watch_summary, write_watch
-    from experiments.workflows import arrivals, runs_in, watcher_of
+    from experiments.console import command_line, note, warn
+    from experiments.provenance import origin_of
+    from experiments.reports import line_text, watch_summary
+    from experiments.workflows import arrivals, runs_in
+    from legid import Watching, load, watch
 
     models = [path for path in args.against if path.lower().endswith(".json")]
     if models and len(args.against) > 1:
@@ -56,31 +56,36 @@ def run(args: argparse.Namespace) -> int:
     against = models or runs_in(args.against)
     if models:
         warn(f"{models[0]} holds no runs: the threshold is not checked on left-out runs; give the runs for that")
-    files = arrivals(args.places, against, args.follow)
     chosen = chosen_rig(args, [] if models else against)
-    with busy("learning the reference"):
-        watcher = watcher_of(load_model(models[0]) if models else against, models[0] if models else "", chosen.rig,
-                             args.false_alarms, args.damaged)
-    lines: list[Watched] = []
     done: list[str] = []
-    sources = tuple(map(source_of, against))
-    if args.follow:
-        note("Waiting for runs; Ctrl-C ends.")
-    try:
-        for file in files:
-            lines.append(watcher.watch(file))
+    last: list[Watching] = []
+    waiting: list[bool] = []
+
+    def files() -> Iterator[str]:
+        waiting.append(args.follow)
+        if args.follow:
+            note("Waiting for runs; Ctrl-C ends.")
+        for file in arrivals(args.places, against, args.follow):
             done.append(file)
-            print(line_text(lines[-1]), flush=True)
-            origin = origin_of(done, chosen.source, models[0] if models else None, command=command_line())
-            if args.json:
-                write_json(args.json, {**watch_document(lines, args.false_alarms, watcher.test.reference.runs, sources),
-                                       "provenance": origin})
-            if args.html:
-                write_watch(args.html, lines, args.false_alarms, origin)
+            yield file
+
+    def tell(found: Watching) -> None:
+        last[:] = [found]
+        print(line_text(found.watched[-1]), flush=True)
+        found.provenance = origin_of(done, chosen.source, models[0] if models else None, command=command_line())
+        if args.json:
+            found.to_json(args.json)
+        if args.html:
+            found.page(args.html)
+
+    try:
+        watch(files(), models[0] if models else load(against, chosen.rig, args.damaged), chosen.rig,
+              args.false_alarms, args.damaged, tell)
     except KeyboardInterrupt:
-        if not args.follow:
+        if not args.follow or not waiting:
             raise
-    if not lines and not args.follow:
+    if not last and not args.follow:
         raise InputError(args.places[0], "holds no run but those of the reference", "give later runs")
-    print(watch_summary(lines, args.false_alarms))
+    if last:
+        print(watch_summary(last[0]))
     return 0

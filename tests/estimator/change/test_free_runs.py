@@ -18,7 +18,8 @@ from estimator.change.verdict import AGAINST, with_errors
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
-from experiments.reports.change import change_document, change_text
+from experiments.documents import ChangeDocument
+from experiments.reports import change_text
 from experiments.session import prepare
 from tests.evidence.blind.records import RECORDS, RIGS
 from tests.evidence.what_changed import runs_of, spoilt
@@ -53,8 +54,9 @@ def test_no_change_says_how_much_more_free_runs_err() -> None:
     assert rise is not None and rise.p_value > 0.01
     found = with_errors(Change("no_change", AGAINST.same), lambda: rise, AGAINST)
     assert found.verdict == "no_change" and found.free_runs == rise
-    assert "Free runs over 1 s err 4 times" in change_text(found)
-    assert change_document(found)["free_runs"]["ratio"] == pytest.approx(4.0)
+    assert "Free runs over 1 s err 4 times" in change_text(ChangeDocument.of(found))
+    told = ChangeDocument.of(found).free_runs
+    assert told is not None and told.ratio == pytest.approx(4.0)
     smaller = with_errors(found, lambda: replace(rise, ratio=2.0, p_value=1.0), AGAINST)
     assert smaller.free_runs == rise
 

@@ -75,6 +75,6 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", DOCUMENTED.values())
 def test_every_key_is_told(kind: type[Document]) -> None:
     rows = list(described(kind))
-    assert [key for key, _, _ in rows] == list(kind.__struct_fields__) and all(meaning for _, meaning, _ in rows)
+    assert [key for key, _, _ in rows] == list(kind.__struct_encode_fields__) and all(meaning for _, meaning, _ in rows)
     table = keys_table(kind)
     assert f"| `{rows[1][0]}` | {rows[1][1]} |" in table and "|  |" not in table

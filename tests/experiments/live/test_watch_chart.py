@@ -1,7 +1,6 @@
 """The dashboard's chart over weeks: which runs it shows, where, and what it links to. No browser."""
 
 import asyncio
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -13,25 +12,27 @@ import pytest
 
 from daq.rig import read_rig_file
 from daq.runs import RunWriter, started_at
-from estimator.change import Block, WatchedRun
-from experiments.judge import Watched
+from estimator.change import Block
+from estimator.change import WatchedRun as FoundRun
+from experiments.documents import WatchDocument, WatchedRun
 from experiments.live.bench import Bench
 from experiments.live.watch_chart import Mark, anchor, draw_marks, explain_marks, read_marks
-from experiments.reports import watch_document
 from tests.support.paths import DEMO_RIG
 
 DAY = datetime(2026, 3, 2, 9, 30, tzinfo=UTC)
 
 
-def watched(run: str, week: int | None, *per_hour: float, alarm: bool = False) -> Watched:
+def watched(run: str, week: int | None, *per_hour: float, alarm: bool = False) -> WatchedRun:
     """A run of that week after the first; None: of a file without a date."""
     blocks = tuple(Block(5.0 * k, 5.0, value, "gyro_scale", None, 5.0) for k, value in enumerate(per_hour, 1))
-    found = WatchedRun(run, blocks, min(blocks, key=lambda b: b.per_hour) if alarm else None)
-    return Watched(found, None, None if week is None else DAY + timedelta(weeks=week))
+    found = FoundRun(run, blocks, min(blocks, key=lambda b: b.per_hour) if alarm else None)
+    return WatchedRun.of(found, None, None if week is None else DAY + timedelta(weeks=week))
 
 
-def write(path: Path, lines: Sequence[Watched], age_s: float = 0.0, false_alarms: float = 0.1) -> None:
-    path.write_text(json.dumps(watch_document(lines, false_alarms, ["old.mcap"])))
+def write(path: Path, lines: Sequence[WatchedRun], age_s: float = 0.0, false_alarms: float = 0.1) -> None:
+    found = WatchDocument.begun(["old.mcap"], false_alarms)
+    found.watched += lines
+    found.to_json(path)
     os.utime(path, (2e9 - age_s, 2e9 - age_s))
 
 

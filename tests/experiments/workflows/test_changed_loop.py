@@ -10,7 +10,6 @@ import pytest
 from msgspec import structs
 
 from daq import Dataset, parse_rig
-from estimator.change import Block
 from experiments.models import Model, load_model, save_model
 from experiments.session import prepare
 from experiments.workflows import as_reference, find_change, find_change_since, watcher_of
@@ -61,8 +60,8 @@ def test_watch_alarms_at_a_loop_of_another_law(before: list[Dataset], model: Mod
     watcher = watcher_of(model if by_model else before, "model.json", RIG, 0.1)
     assert watcher.watch(measured("c1", 20)).state == "ok"
     first = watcher.watch(measured("b1", 10, SCALE))
-    alarm = first.found.alarm
-    assert first.state == "alarm" and isinstance(alarm, Block)
+    alarm = first.alarm
+    assert first.state == "alarm" and alarm is not None
     assert (alarm.effect, alarm.joint) == ("encoder_scale", 1) and alarm.per_hour < 0.1
     second = watcher.watch(measured("b2", 11, SCALE))
     assert second.change is not None and second.change.causes[0].effect == "encoder_scale"

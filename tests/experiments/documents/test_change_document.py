@@ -1,0 +1,111 @@
+"""`legid.diagnosis/1` with `against`, `legid.sessions/1` and `legid.watch/1` as structs: earlier files are read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import legid
+
+CAUSE = {"effect": "gyro_scale", "kind": "sensors", "joint": None, "meaning": "The gyro reads too much.",
+         "p_value": 1e-9, "size": [{"name": "scale_error", "unit": "1", "value": 0.03, "ci95": [0.029, 0.031]}],
+         "confusable_with": []}
+CANDIDATES = [
+    {"effect": "gyro_scale", "joint": None, "size_name": "scale_error", "p_value": 1e-9, "change": 0.03,
+     "ci95": [0.029, 0.031], "smallest_detectable": 0.001, "unit": "1"},
+    {"effect": "payload", "joint": 2, "size_name": "mass", "p_value": 1.0, "change": 0.0, "ci95": None,
+     "smallest_detectable": None, "unit": "kg"}]
+ANSWER: dict[str, Any] = {
+    "verdict": "named", "sentence": "Changed: gyro_scale, scale_error 0.03.", "causes": [CAUSE],
+    "candidates": CANDIDATES,
+    "noise": [{"column": "q2_rad", "ratio": 1.0, "ci95": [0.9, None], "p_value": 1.0}], "free_runs": None,
+    "held_out": {"runs": ["b.csv"], "gain": [12.0]},
+    "not_testable": [{"effect": "encoder_offset", "joint": 2, "why": "it differs from run to run"}]}
+MORE = {"warnings": ["look at it"], "next_step": "Check that sensor: legid doctor --rig RIG"}
+FILE: dict[str, Any] = {"version": "0.1.0", "commit": "unknown", "runs": [], "rig": None, "model": None, "command": "",
+                        "seed": None, "models": []}
+CHANGE: dict[str, Any] = {
+    "schema": "legid.diagnosis/1", **ANSWER, "against": {"runs": ["reference a.csv"], "structure": [0.1, 0.2],
+                                                         "p_any": 1e-9, "sources": [{"file": "a", "sha256": "0" * 64}]},
+    "runs": {"test": ["b.csv"]}, **MORE, "set_aside": [{"run": "c.csv", "why": "it stands still"}], "wall_s": 3.0,
+    "damaged": [{"run": "b.csv", "what": "the end"}], "provenance": FILE}
+PAIR: dict[str, Any] = {"a": {"name": "A", "runs": ["A a.csv"]}, "b": {"name": "B", "runs": ["B b.csv"]}, **ANSWER,
+                        "structure": [0.1, 0.2], "p_any": 1e-9, **MORE}
+SAME = {**PAIR, "b": {"name": "C", "runs": ["C c.csv"]}, "verdict": "no_change", "sentence": "No difference.",
+        "causes": []}
+SESSIONS: dict[str, Any] = {"schema": "legid.sessions/1", "set_aside": [], "pairs": [SAME, PAIR], "damaged": [],
+                            "provenance": FILE}
+BLOCKS = [{"end_s": 5.0, "seconds": 5.0, "per_hour": 3.0, "effect": "payload", "joint": 2, "since_s": 5.0},
+          {"end_s": 10.0, "seconds": 5.0, "per_hour": 1e-7, "effect": "gyro_scale", "joint": None, "since_s": 10.0}]
+WATCHED: dict[str, Any] = {"recorded": None, "seconds": 10.0, "alarm": None, "blocks": BLOCKS[:1], "failed": None,
+                           "change": None}
+WATCH: dict[str, Any] = {
+    "schema": "legid.watch/1", "false_alarms_per_hour": 0.1, "reference": {"runs": ["a.csv"], "sources": []},
+    "watched": [{"run": "b.csv", "state": "ok", **WATCHED},
+                {"run": "c.csv", "state": "alarm", **WATCHED, "alarm": BLOCKS[1], "blocks": BLOCKS},
+                {"run": "d.csv", "state": "not tested", **WATCHED, "blocks": [], "seconds": 0.0,
+                 "failed": "it is empty"},
+                {"run": "e.csv", "state": "changed", **WATCHED,
+                 "change": {k: v for k, v in CHANGE.items() if k not in ("damaged", "provenance")}}],
+    "provenance": FILE}
+
+
+def written(folder: Path, document: dict[str, Any]) -> Path:
+    (folder / "earlier.json").write_text(json.dumps(document))
+    return folder / "earlier.json"
+
+
+def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
+    found = legid.Change.read(written(tmp_path, CHANGE))
+    text = str(found)
+    assert text.startswith(CHANGE["sentence"]) and "From the reference runs to these runs:" in text
+    assert "0.029 .. 0.031" in text and "payload, link 2" in text and "none" in text and "nan" not in text
+    assert "predicts 1 of 1 runs better" in text and text.endswith("Runs: reference a.csv, b.csv. (3 s)")
+    assert found.to_frame()["high"].tolist() == [0.031] and repr(found) == f"<Change: {CHANGE['sentence']}>"
+    candidates = found.to_frame("candidates")
+    assert candidates["smallest_detectable"].tolist() == [0.001, np.inf] and np.isnan(candidates["low"][1])
+    with pytest.raises(ValueError, match="neither"):
+        found.to_frame("noise")
+    assert len(found.plot().axes) == 1 and "Warning: look at it" in found._repr_html_()
+    found.page(tmp_path / "page.html")  # which needs no motion
+    page = (tmp_path / "page.html").read_text()
+    assert "<svg" in page and "b.csv is damaged: the end" in page and "encoder_offset, joint 2" in page
+    found.to_json(tmp_path / "again.json")
+    assert json.loads((tmp_path / "again.json").read_text()) == CHANGE
+    with pytest.raises(legid.InputError, match="against"):
+        legid.Change.read(written(tmp_path, {k: v for k, v in CHANGE.items() if k != "against"}))
+
+
+def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Path) -> None:
+    found = legid.Sessions.read(written(tmp_path, SESSIONS))
+    assert str(found).splitlines()[2].split() == ["A", "C", "no_change", "No", "difference."]
+    assert found.verdict == "named" and found.pairs[1].a.name == "A" and len(found.plot().axes) == 1
+    assert found.to_frame()[["from", "to", "value"]].values.tolist() == [["A", "B", 0.03]]
+    assert len(found.to_frame("candidates")) == 4 and "no_change: No difference." in found._repr_html_()
+    found.page(tmp_path / "page.html")
+    assert "B against A: Changed" in (tmp_path / "page.html").read_text()
+    found.to_json(tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert [pair.pop("wall_s") for pair in again["pairs"]] == [0.0, 0.0] and again == SESSIONS
+    one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": [PAIR]}))
+    assert "From A to B:" in str(one) and "from" not in one.to_frame()
+
+
+def test_a_watch_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
+    found = legid.Watching.read(written(tmp_path, WATCH))
+    lines = str(found).splitlines()
+    assert lines[0] == "b.csv: ok; 10 s; likeliest change payload (link 2), by chance 3 times an hour"
+    assert lines[1].startswith("c.csv: ALARM after 10.0 s;") and lines[2] == "  The next run names the change"
+    assert lines[3] == "d.csv: not tested: it is empty" and lines[5].startswith("  1 runs since b.csv: Changed: ")
+    assert found.alarms == ("c.csv",) and lines[-1].endswith("1 with an alarm, first c.csv")
+    assert found.to_frame()["effect"].dropna().tolist() == ["payload", "gyro_scale", "payload"]
+    assert len(found.plot().axes) == 1 and found.watched[3].change is not None
+    found.page(tmp_path / "page.html")
+    assert "d.csv was not tested: it is empty" in (tmp_path / "page.html").read_text()
+    found.to_json(tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert again["watched"][3]["change"].pop("damaged") == [] and again == WATCH
