@@ -1,9 +1,7 @@
-from .change import ChangeFound as ChangeFound
 from .change import SessionPair as SessionPair
 from .change import as_reference as as_reference
 from .change import find_change as find_change
 from .change import find_change_since as find_change_since
-from .change import find_difference as find_difference
 from .change import find_differences as find_differences
 from .change import runs_in as runs_in
 from .change import session_names as session_names
