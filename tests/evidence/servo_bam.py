@@ -155,12 +155,25 @@ def _std(model: FittedModel) -> FloatArray:
     return np.sqrt(np.diag(model.covariance))
 
 
-def shares() -> dict[str, tuple[float, float]]:
-    """BAM's names of friction by load in motion -> what the directional law finds, and m6's published value."""
+def shares() -> dict[str, tuple[float, float, float, float]]:
+    """BAM's names of friction by load in motion -> what the directional law finds with its 95 % interval, lowest first,
+    and m6's published value."""
     model, p = extended("directional_load_friction"), PUBLISHED["m6"]
-    k, _, share, _ = model.parameters[model.mechanism.p :]
-    return {"load_friction_motor": (float(k * (1.0 - share)), p["load_friction_motor"]),
-            "load_friction_external": (float(k * share), p["load_friction_external"])}
+    (k, _, share, _), at = model.parameters[model.mechanism.p :], [model.mechanism.p, model.mechanism.p + 2]
+    assert model.covariance is not None
+    out = {}
+    for name, value, slope in (("load_friction_motor", k * (1.0 - share), np.array([1.0 - share, -k])),
+                               ("load_friction_external", k * share, np.array([share, k]))):
+        half = 1.96 * float(np.sqrt(slope @ model.covariance[np.ix_(at, at)] @ slope))
+        out[name] = float(value - half), float(value), float(value + half), p[name]
+    return out
+
+
+@kept
+def diagnosis() -> tuple[str, tuple[str, ...], tuple[float, float] | None]:
+    """Verdict, causes, and error over noise before and after, of the train runs."""
+    found = legid.diagnose(records(TRAIN), rig(), workers=1)
+    return found.verdict, tuple(cause.effect for cause in found.causes), found.error
 
 
 def _rms(x: FloatArray) -> float:
