@@ -180,18 +180,13 @@ def _rms(x: FloatArray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def section() -> Iterator[str]:
-    """Lines of the page."""
-    yield from ["## A real servo by its command", "",
-                "Free runs of 6 s of the XL330 with a pendulum follow the commands of `sin_time_square`. Ours is "
-                "fitted to six other runs. BAM's values are those published, and of both signs of its offset the "
-                "better one. Parameters are in volts.", "", "| model | kp 100 | kp 400 |", "| --- | ---: | ---: |",
-                *(f"| {name} | {1e3 * e[0]:.3g} mrad | {1e3 * e[1]:.3g} mrad |" for name, e in errors().items()), "",
-                "| model | inertia | first moment | viscous, back-EMF included |", "| --- | --- | --- | --- |",
-                *(f"| legid, {name} | " + " | ".join(f"{v:.3g} ± {h:.2g}" for v, h in zip(model.beta[:3], half)) + " |"
-                  for name, (model, half) in fits().items()),
-                *(f"| legid, mle: and {name} | " + " | ".join(
-                    f"{v:.3g} ± {1.96 * s:.2g}" for v, s in zip(model.beta[:3], _std(model)[:3])) + " |"
-                  for name in EFFECTS for model in [extended(name)]),
-                *(f"| BAM {name} | " + " | ".join(f"{v:.3g}" for v in in_volts(p)) + " |"
-                  for name, p in PUBLISHED.items())]
+def parameters() -> Iterator[str]:
+    """Lines of the page on parameters in volts."""
+    yield from ["| model, in volts | inertia | first moment | viscous, back-EMF included |",
+                "| --- | --- | --- | --- |"]
+    ours = {f"legid, {name}": (model, half[:3]) for name, (model, half) in fits().items()}
+    ours |= {f"legid, mle: and {name}": (extended(name), 1.96 * _std(extended(name))[:3]) for name in EFFECTS}
+    for name, (model, half) in ours.items():
+        yield f"| {name} | " + " | ".join(f"{v:.3g} ± {h:.2g}" for v, h in zip(model.beta[:3], half)) + " |"
+    for name, p in PUBLISHED.items():
+        yield f"| BAM {name} | " + " | ".join(f"{v:.3g}" for v in in_volts(p)) + " |"

@@ -131,7 +131,8 @@ def xl_section() -> Iterator[str]:
     for name, errors_of in servo_bam.errors().items():
         if name.startswith("legid"):
             yield f"| {name} | {' | '.join(f'{1e3 * one:.3g} mrad' for one in errors_of)} | - |"
-    yield from ["", "| share of the torque that is friction | legid, directional_load_friction | published m6 |",
+    yield from ["", *servo_bam.parameters(), "",
+                "| share of the torque that is friction | legid, directional_load_friction | published m6 |",
                 "| --- | --- | ---: |"]
     for name, (low, value, high, theirs) in servo_bam.shares().items():
         yield f"| {name} | {value:.3g} [{low:.3g}, {high:.3g}] | {theirs:.3g} |"

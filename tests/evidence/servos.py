@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +24,6 @@ from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
-from tests.evidence.servo_bam import section
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.paths import REAL
 from tests.support.servo_leg import ServoFaults, follow
@@ -64,7 +62,7 @@ def _directional(s: float, leg: Leg) -> Law:
 
 
 CAUSES = (
-    Hidden("none"), Hidden("command_delay", lambda s: ServoFaults(delay_s=0.02 * s)),
+    Hidden("none"),
     Hidden("input_limit", lambda s: ServoFaults(limit=0.9 / s), also=("torque_saturation", "supply_sag")),
     Hidden("joint_stiffness", law=lambda s, leg: lambda q1, q2, v1, v2, u: (0.0, -0.4 * s * (q2 - 0.2))),
     Hidden("none"),
@@ -78,8 +76,9 @@ CAUSES = (
                                                        "directional_load_friction")),
     Hidden("supply_sag", lambda s: ServoFaults(sag=0.25 * s), also=("torque_saturation", "input_limit")),
     Hidden("encoder_scale", logged=_scale_angle), Hidden("command_steps", lambda s: ServoFaults(
-        step=math.radians(2.0))), Hidden("directional_load_friction", law=_directional))
-"""In the order of a round"""
+        step=math.radians(2.0))), Hidden("directional_load_friction", law=_directional),
+    Hidden("command_delay", lambda s: ServoFaults(delay_s=0.02 * s)))
+"""In the order of a round, the slowest to diagnose last"""
 
 
 class Drawn(NamedTuple):
@@ -235,7 +234,8 @@ def page(minutes: float, records: float, seed: int) -> Iterator[str]:
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds from {int(seed)}.", "",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
         "s hold command and both angles. Intervals are Wilson's, 95 %.", "", *intervals(fits), "", *of_loops(loops), "",
-        *hidden(answers), "", *(chain(section(), [""], real(records)) if REAL.is_dir() else [
+        *hidden(answers), "", "A real servo by its command is in [servo-laws](servo-laws.md).", "",
+        *(real(records) if REAL.is_dir() else [
             "The records of a real servo are left out: ../shared/realdata is not next to the checkout."]), ""]
 
 
