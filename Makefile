@@ -155,9 +155,10 @@ servos: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
 		--seed $(or $(SEED),7000) --out docs/evidence/servos.md
 
-# Friction laws of servos fitted to the same runs: three minutes; BAM= is a copy of the repository Rhoban/bam.
+# Friction laws of servos fitted to the same runs: four minutes; BAM= and SYSID= are copies of Rhoban/bam and kscalelabs/sysid.
 servo-laws: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servo-laws --bam "$(BAM)" --out docs/evidence/servo-laws.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servo-laws --bam "$(BAM)" --sysid "$(SYSID)" \
+		--out docs/evidence/servo-laws.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

@@ -215,6 +215,16 @@ class Mechanism:
                 to[..., row, column] += beta[..., k] * mass
         return np.swapaxes(self.transform, 0, 1) @ rigid @ self.transform + own
 
+    def load_of_links(self, joint: int, q: FloatArray, qd: FloatArray, beta: FloatArray) -> FloatArray:
+        """(...) what gravity and rates of the links ask of one joint at qdd = 0; q and qd (n, ...), beta (p,)."""
+        x, v = self.from_zero(np.tensordot(self.transform, q, 1)), np.tensordot(self.transform, qd, 1)
+        out = np.zeros(q.shape[1:])
+        for value, parameter in zip(beta, self.parameters):
+            for row, values in TERMS[parameter.term].bias(parameter.at, x, v, self.world) if parameter.rigid else ():
+                if self.transform[row, joint]:
+                    out += self.transform[row, joint] * value * values
+        return out
+
     def bias_torque(self, q: FloatArray, qd: FloatArray, beta: FloatArray) -> FloatArray:
         """C qd + G + F of eq. (9), offsets included: the torque at qdd = 0, (..., n) [N m]."""
         joints, links = self._motion(q, qd)

@@ -278,6 +278,15 @@ def _load_more(code: Code, effect: EffectValue, at: list[int]) -> None:
         f"* math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
 
 
+def _load_by_side(code: Code, effect: EffectValue, at: list[int]) -> None:
+    j, size, shape = at[0], effect.sizes, effect.shapes
+    code.say(effect.name, j, "dry friction grows by k |(1 - s) tau_m - s tau_e|, tau_e the load's torque a step before")
+    share, k = shape["load_share"], code.constant(f"LOAD_BY_SIDE{j + 1}", size["load_coefficient"], "1")
+    code.level.setdefault(j, []).append(
+        f"({k} + {size['coefficient_near_rest']!r} * math.exp(-(v{j + 1} / {shape['stribeck_velocity']!r}) ** 2)) "
+        f"* math.hypot({1.0 - share!r} * u{j + 1} + {share!r} * float(d.qfrc_bias[{_dof(code.parts, j)}]), 1e-3)")
+
+
 def _drift(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, size = at[0], effect.sizes
     code.say(effect.name, j, "dry friction changes over the session and within each run")
@@ -338,4 +347,5 @@ LAWS = {"torque_saturation": _saturation, "stribeck_friction": _stribeck, "load_
         "friction_drift": _drift, "asymmetric_friction": _asymmetric, "quadratic_drag": _drag,
         "joint_elasticity": _gear, "backlash": _gear, "encoder_offset": _encoder, "encoder_eccentricity": _encoder,
         "gyro_bias": _imu_error, "gyro_scale": _imu_error, "accelerometer_bias": _imu_error, "torque_delay": _late,
-        "sensor_time_skew": _early, "load_stribeck_friction": _load_more, "quadratic_load_friction": _load_more}
+        "sensor_time_skew": _early, "load_stribeck_friction": _load_more, "quadratic_load_friction": _load_more,
+        "directional_load_friction": _load_by_side}

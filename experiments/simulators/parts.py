@@ -244,7 +244,8 @@ HELD: dict[str, Hold] = {
     "asymmetric_friction": _asymmetric, "end_stop_contact": _stop, "torque_ripple": _ripple,
     "presliding_friction": _bristles, "base_compliance": _stand, "imu_lever_arm": _lever, "imu_misalignment": _turn,
     "encoder_scale": _scale, "stribeck_friction": _levels, "friction_drift": _levels,
-    "load_dependent_friction": _levels, "load_stribeck_friction": _levels, "quadratic_load_friction": _levels}
+    "load_dependent_friction": _levels, "load_stribeck_friction": _levels, "quadratic_load_friction": _levels,
+    "directional_load_friction": _levels}
 """Effect to what makes parts of it; that returns whether nothing is left of it."""
 LEFT = ("torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias", "encoder_offset", "encoder_eccentricity")
 """Effects of which no part holds anything."""

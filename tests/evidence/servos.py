@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +24,7 @@ from tests.evidence.blind.score import Rate
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
-from tests.evidence.servo_bam import section
-from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.paths import REAL
 from tests.support.servo_leg import ServoFaults, follow
 
@@ -42,7 +40,7 @@ class Hidden:
 
     effect: str
     loop: Callable[[float], ServoFaults] = lambda s: ServoFaults()
-    law: Callable[[float], Law | None] = lambda s: None
+    law: Callable[[float, Leg], Law | None] = lambda s, leg: None
     logged: Callable[[dict[str, np.ndarray], float], None] = lambda columns, s: None
     also: tuple[str, ...] = ()
     """Other effects that are the same function of these records"""
@@ -52,20 +50,35 @@ def _scale_angle(columns: dict[str, np.ndarray], s: float) -> None:
     columns["q2_rad"] = columns["q2_rad"] * (1.0 + 0.05 * s)
 
 
+def _directional(s: float, leg: Leg) -> Law:
+    """BAM's M5 in motion at the knee, by the motor's torque and by what gravity and rates do."""
+    coupling, moment = float(leg.beta()[2]), float(leg.beta()[4])
+
+    def law(q1: float, q2: float, v1: float, v2: float, u: float) -> tuple[float, float]:
+        load = -(coupling * math.sin(q2) * v1**2 + moment * GRAVITY * math.sin(q1 + q2))
+        return 0.0, -0.3 * s * abs(0.7 * u - 0.3 * load) * math.tanh(v2 / 0.01)
+
+    return law
+
+
 CAUSES = (
-    Hidden("none"), Hidden("command_delay", lambda s: ServoFaults(delay_s=0.02 * s)),
+    Hidden("none"),
     Hidden("input_limit", lambda s: ServoFaults(limit=0.9 / s), also=("torque_saturation", "supply_sag")),
-    Hidden("joint_stiffness", law=lambda s: lambda q1, q2, v1, v2, u: (0.0, -0.4 * s * (q2 - 0.2))), Hidden("none"),
+    Hidden("joint_stiffness", law=lambda s, leg: lambda q1, q2, v1, v2, u: (0.0, -0.4 * s * (q2 - 0.2))),
+    Hidden("none"),
     Hidden("command_dead_band", lambda s: ServoFaults(dead_band=0.03 * s)),
-    Hidden("stribeck_friction", law=lambda s: lambda q1, q2, v1, v2, u: (
+    Hidden("stribeck_friction", law=lambda s, leg: lambda q1, q2, v1, v2, u: (
         0.0, -0.12 * s * math.tanh(v2 / 0.01) / (1.0 + (v2 / 0.15) ** 2)), also=("presliding_friction",)),
     Hidden("missing_integral", lambda s: ServoFaults(integral=3.0 * s)),
-    Hidden("load_dependent_friction", law=lambda s: lambda q1, q2, v1, v2, u: (
-        0.0, -0.2 * s * abs(u) * math.tanh(v2 / 0.01)), also=("load_stribeck_friction", "quadratic_load_friction")),
+    # by the torque of the motor alone: to the directional law a share of zero of the load
+    Hidden("load_dependent_friction", law=lambda s, leg: lambda q1, q2, v1, v2, u: (
+        0.0, -0.2 * s * abs(u) * math.tanh(v2 / 0.01)), also=("load_stribeck_friction", "quadratic_load_friction",
+                                                       "directional_load_friction")),
     Hidden("supply_sag", lambda s: ServoFaults(sag=0.25 * s), also=("torque_saturation", "input_limit")),
     Hidden("encoder_scale", logged=_scale_angle), Hidden("command_steps", lambda s: ServoFaults(
-        step=math.radians(2.0))))
-"""In the order of a round"""
+        step=math.radians(2.0))), Hidden("directional_load_friction", law=_directional),
+    Hidden("command_delay", lambda s: ServoFaults(delay_s=0.02 * s)))
+"""In the order of a round, the slowest to diagnose last"""
 
 
 class Drawn(NamedTuple):
@@ -76,6 +89,11 @@ class Drawn(NamedTuple):
     damping: float
     loop_hz: float
     delay_s: float
+
+    @property
+    def late_s(self) -> float:
+        """The delay in whole ticks, as the loop has it."""
+        return round(self.delay_s * self.loop_hz) / self.loop_hz
 
 
 def draw(seed: int) -> Drawn:
@@ -94,7 +112,7 @@ def record(drawn: Drawn, seed: int, cause: Hidden = CAUSES[0], delay_s: float = 
     for k in range(RUNS):
         run = follow(drawn.leg, np.random.default_rng([seed, 3, k]), gain=drawn.gain, damping=drawn.damping,
                      loop_hz=drawn.loop_hz, seconds=SECONDS, amplitude=AMPLITUDE[k % 4], high=HIGH[k % 4],
-                     faults=replace(faults, delay_s=faults.delay_s + delay_s), law=cause.law(strength),
+                     faults=replace(faults, delay_s=faults.delay_s + delay_s), law=cause.law(strength, drawn.leg),
                      name=f"r{k + 1}")
         columns = dict(run.columns)
         cause.logged(columns, strength)
@@ -125,7 +143,42 @@ def fit(seed: int) -> Fit:
                    if not p["fixed"])
     late = next((c["value"] for c in found.document["chosen"] if c["key"] == "delay_s"), 0.0)
     low, high = found.document["servo_gain"]["ci95"]
-    return Fit(inside, low <= drawn.gain <= high, late - drawn.delay_s - 0.5 / drawn.loop_hz)
+    return Fit(inside, low <= drawn.gain <= high, late - drawn.late_s - 0.5 / drawn.loop_hz)
+
+
+class Value(NamedTuple):
+    """One value of a loop, as it is and as a fit has it."""
+
+    key: str
+    true: float
+    sought: bool
+    """Whether the fit gives an interval"""
+    found: bool
+    """Whether it says that the runs show it"""
+    low: float = 0.0
+    high: float = 0.0
+
+
+LOOPS = ("limit", "integral", "neither")
+"""What the loop has beyond gain, damping and delay, in the order of a round"""
+
+
+@kept
+def values(which: int, seed: int) -> tuple[Value, ...] | None:
+    """Values that a fit finds if the rig file states gain and rate alone; None without an answer."""
+    drawn, rng = draw(seed), np.random.default_rng([seed, 4])
+    limit, integral = rng.uniform(0.6, 1.2), rng.uniform(1.0, 4.0)
+    faults = {"limit": ServoFaults(limit=limit), "integral": ServoFaults(integral=integral)}.get(LOOPS[which],
+                                                                                                ServoFaults())
+    rig = parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")
+    try:
+        found = legid.fit(record(drawn, seed, Hidden("none", lambda s: faults), drawn.delay_s), rig)
+    except (FitError, InputError):
+        return None
+    told = {one["key"]: one for one in found.document["loop"]}
+    true = {"delay_s": drawn.late_s, "limit": faults.limit, "integral": faults.integral, "damping": drawn.damping}
+    return tuple(Value(key, value, True, told[key]["found"], *told[key]["ci95"]) if key in told else
+                 Value(key, value, False, False) for key, value in true.items())
 
 
 class Said(NamedTuple):
@@ -151,32 +204,38 @@ def diagnose(which: int, seed: int) -> Said:
 
 
 def rounds(seed: int) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Two fits, a diagnosis, and so on, each with a seed of its own."""
+    """A fit with the gain or with other values unknown, a diagnosis, and so on, each with a seed of its own."""
     turn = 0
     while True:
-        yield "fit", (seed + 3 * turn,)
-        yield "fit", (seed + 3 * turn + 1,)
-        yield "diagnosis", (turn % len(CAUSES), seed + 3 * turn + 2)
+        if turn % 2:
+            yield "values", (turn // 2 % len(LOOPS), seed + 2 * turn)
+        else:
+            yield "fit", (seed + 2 * turn,)
+        yield "diagnosis", (turn % len(CAUSES), seed + 2 * turn + 1)
         turn += 1
 
 
 def page(minutes: float, records: float, seed: int) -> Iterator[str]:
     """The page, line by line."""
     fits: list[Fit] = []
+    loops: list[tuple[Value, ...] | None] = []
     answers: list[tuple[Hidden, int, Said]] = []
     for kind, given in within(minutes, rounds(int(seed))):
         if kind == "fit":
             fits.append(fit(*given))
+        elif kind == "values":
+            loops.append(values(*given))
         else:
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
-        print(kind, given, fits[-1] if kind == "fit" else answers[-1], flush=True)
+        print(kind, given, (fits if kind == "fit" else loops if kind == "values" else answers)[-1:], flush=True)
     yield from [
         "# Servos: legs that follow a command", "",
         f"Made by `make servos MINUTES={minutes:g} RECORDS={records:g} SEED={int(seed)}`, "
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds from {int(seed)}.", "",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
-        "s hold command and both angles. Intervals are Wilson's, 95 %.", "", *intervals(fits), "", *hidden(answers), "",
-        *(chain(section(), [""], real(records)) if REAL.is_dir() else [
+        "s hold command and both angles. Intervals are Wilson's, 95 %.", "", *intervals(fits), "", *of_loops(loops), "",
+        *hidden(answers), "", "A real servo by its command is in [servo-laws](servo-laws.md).", "",
+        *(real(records) if REAL.is_dir() else [
             "The records of a real servo are left out: ../shared/realdata is not next to the checkout."]), ""]
 
 
@@ -192,6 +251,25 @@ def intervals(fits: Sequence[Fit]) -> Iterator[str]:
                 f"| of the gain | {_rate([one.gain for one in good])} |",
                 f"| median error of the delay | {1e3 * float(np.median(late)) if late else math.nan:.2g} ms |",
                 f"| fits that end without an answer | {len(fits) - len(good)} of {len(fits)} |"]
+
+
+def of_loops(loops: Sequence[tuple[Value, ...] | None]) -> Iterator[str]:
+    """Do the intervals of a loop's own values hold, and are the values found?"""
+    limited = [one for one in loops if one is not None and any(v.key == "limit" and v.true < math.inf for v in one)]
+    every = [v for one in loops if one is not None for v in one if v.key != "damping" or one in limited]
+    yield from ["## Values of the loop unknown", "",
+                "The rig file states gain and rate. The loop damps by 0.05 to 0.25 N m s/rad and is 0 to 20 ms late. "
+                "One in three has a limit of 0.6 to 1.2 N m, one an integral of 1 to 4 N m/(rad s). Damping counts for "
+                "loops with a limit: below it, and without feedforward, damping is viscous friction.", "",
+                "| value | present and found | absent and not found | 95 % intervals that hold |",
+                "| --- | --- | --- | --- |"]
+    for key, absent in (("delay_s", math.nan), ("limit", math.inf), ("integral", 0.0), ("damping", math.nan)):
+        own = [value for value in every if value.key == key]
+        there = [value.found for value in own if value.true != absent]
+        missing = [not value.found for value in own if value.true == absent]
+        held = [value.low <= value.true <= value.high for value in own if value.sought and value.true != math.inf]
+        yield f"| {key} | {_rate(there)} | {_rate(missing)} | {_rate(held)} |"
+    yield from ["", f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer."]
 
 
 def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:

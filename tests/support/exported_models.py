@@ -38,6 +38,8 @@ EFFECTS: dict[str, Case] = {
     "load_dependent_friction": Case({"load_coefficient": 0.08}),
     "load_stribeck_friction": Case({"load_coefficient": 0.08}, {"stribeck_velocity": 0.4, "exponent": 2.0}),
     "quadratic_load_friction": Case({"load_coefficient": 0.08}),
+    "directional_load_friction": Case({"load_coefficient": 0.08, "coefficient_near_rest": 0.04},
+                                      {"load_share": 0.4, "stribeck_velocity": 0.3}),
     "presliding_friction": Case({"level": 0.03, "bristle_damping": 0.005}, {"displacement": 0.03}),
     "friction_drift": Case({"change": 0.03, "change_per_minute_within_runs": 0.1}, {"time_constant": 30.0}),
     "joint_elasticity": Case({"compliance": 0.01, "motor_viscous": 0.01, "motor_coulomb": 0.01,

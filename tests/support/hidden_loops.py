@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq import Dataset
-from tests.support.mujoco_leg import Leg
+from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.servo_leg import COUNTS, ServoFaults, follow, with_torque
 
 GAIN, DAMPING = 6.0, 0.1
@@ -35,6 +35,13 @@ class HiddenLoop:
     """Torques that act on pivot and knee besides, by angles, rates and the servo's torque."""
 
 
+def _directional(q1: float, q2: float, v1: float, v2: float, u: float) -> tuple[float, float]:
+    """BAM's M5 at the knee: |0.175 tau_m - 0.075 tau_e| in motion, 1.8 times that at rest."""
+    load = -(float(LEG.beta()[2]) * math.sin(q2) * v1**2 + float(LEG.beta()[4]) * GRAVITY * math.sin(q1 + q2))
+    near = math.exp(-((v2 / 0.3) ** 2))
+    return 0.0, -(1.0 + 0.8 * near) * abs(0.175 * u - 0.075 * load) * math.tanh(v2 / 0.02)
+
+
 HIDDEN_LOOPS: dict[str, HiddenLoop] = {
     "command_delay": HiddenLoop(ServoFaults(delay_s=0.015), {"delay": 0.015}),
     "gain_scale": HiddenLoop(ServoFaults(gain=1.2), {"scale_error": 0.2}, fixed={"beta5": float(LEG.beta()[4])}),
@@ -50,6 +57,9 @@ HIDDEN_LOOPS: dict[str, HiddenLoop] = {
     "quadratic_load_friction": HiddenLoop(
         ServoFaults(), {"load_coefficient": 0.2},
         law=lambda q1, q2, v1, v2, u: (0.0, -0.2 * u * u * math.tanh(v2 / 0.02))),
+    "directional_load_friction": HiddenLoop(
+        ServoFaults(), {"load_coefficient": 0.25, "coefficient_near_rest": 0.2, "load_share": 0.3}, 0.25,
+        law=_directional, begin={"load_share": 0.4, "stribeck_velocity": 0.3}),
 }
 
 

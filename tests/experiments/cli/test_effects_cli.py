@@ -23,7 +23,8 @@ CONTRACT = [
     "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
     "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
     "encoder_scale", "encoder_eccentricity", "command_delay", "gain_scale", "missing_integral", "input_limit",
-    "supply_sag", "command_dead_band", "command_steps", "load_stribeck_friction", "quadratic_load_friction"]
+    "supply_sag", "command_dead_band", "command_steps", "load_stribeck_friction", "quadratic_load_friction",
+    "directional_load_friction"]
 
 
 def install(folder: Path, module: str, code: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
