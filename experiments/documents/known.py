@@ -12,6 +12,6 @@ from experiments.documents.watch import WatchDocument
 
 DOCUMENTED: dict[str, type[Document]] = {
     "fit": FitDocument, "diagnosis": DiagnosisDocument, "validation": ValidationDocument,
-    "comparison": ComparisonDocument, "change": ChangeDocument, "sessions": SessionsDocument, "watch": WatchDocument, "tuning": TuningDocument,
-    "investigation": InvestigationDocument}
+    "comparison": ComparisonDocument, "change": ChangeDocument, "sessions": SessionsDocument, "watch": WatchDocument,
+    "tuning": TuningDocument, "investigation": InvestigationDocument}
 """By the name of the verb's result."""

@@ -43,6 +43,7 @@ NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
 OF_ONE_JOINT = re.compile(r"(torque|encoder)([0-9]+)_(?:nm|rad)")
+OF_UNSEEN = re.compile(r"unseen([0-9]+)_nm")
 OF_DISTURBANCE = re.compile(r"disturbance([0-9]+)_(nm|s)")
 OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
@@ -69,6 +70,9 @@ def _channel(fit: FitDocument, name: str) -> tuple[str, str]:
     if disturbance:
         told, unit = {"nm": ("disturbance", force), "s": ("its time constant", "s")}[disturbance[2]]
         return (f"{told} of joint {disturbance[1]}" if disturbance[2] == "nm" else told), unit
+    unseen = OF_UNSEEN.fullmatch(name)
+    if unseen:
+        return f"torque {unseen[1]} between samples", force
     joint = OF_ONE_JOINT.fullmatch(name)
     if joint:
         return f"{joint[1]} {joint[2]}", units[f"{joint[1]}_{'nm' if joint[1] == 'torque' else 'rad'}"]

@@ -21,6 +21,7 @@ from estimator.likelihood import free_run
 from estimator.loops import law_checks
 from estimator.options import FitOptions
 from estimator.prediction import smooth
+from experiments.documents import finite
 from experiments.models import build_mechanism, mechanism_settings
 from experiments.session import as_datasets, prepare
 from tests.evidence.kept import kept
@@ -173,7 +174,9 @@ def shares() -> dict[str, tuple[float, float, float, float]]:
 def diagnosis() -> tuple[str, tuple[str, ...], tuple[float, float] | None]:
     """Verdict, causes, and error over noise before and after, of the train runs."""
     found = legid.diagnose(records(TRAIN), rig(), workers=1)
-    return found.verdict, tuple(cause.effect for cause in found.causes), found.error
+    error = found.error
+    return found.verdict, tuple(cause.effect for cause in found.causes), (
+        None if error is None else (finite(error.before), finite(error.after)))
 
 
 def _rms(x: FloatArray) -> float:
