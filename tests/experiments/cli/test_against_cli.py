@@ -28,13 +28,18 @@ ARM = REAL / "dfki_a0"
 def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run in ("00", "02", "12"):
         shutil.copy(ARM / f"{run}.csv.gz", tmp_path)
+    rows = [line.split(",") for line in gzip.decompress((ARM / "02.csv.gz").read_bytes()).decode().splitlines()]
+    stuck = rows[0].index("q2_rad")
+    lines = [",".join([*row[:stuck], "0.3" if n else row[stuck], *row[stuck + 1 :]]) for n, row in enumerate(rows)]
+    (tmp_path / "bad.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
     out = tmp_path / "change.json"
     runs = [str(ARM / f"{run}.csv.gz") for run in ("01", "03")]
     assert cli.main(["diagnose", *runs, "--against", str(tmp_path), "--rig", RIG, "--json", str(out)]) == 0
     assert capsys.readouterr().out.startswith("No change: ")
     found = json.loads(out.read_text())
     assert found["verdict"] == "no_change" and found["causes"] == []
-    assert [s["file"] for s in found["against"]["sources"]] == ["00.csv.gz", "02.csv.gz", "12.csv.gz"]
+    assert [run["run"] for run in found["set_aside"]] == ["reference bad.csv.gz"]
+    assert [s["file"] for s in found["against"]["sources"]] == ["00.csv.gz", "02.csv.gz", "12.csv.gz", "bad.csv.gz"]
     assert all(len(s["sha256"]) == 64 for s in found["against"]["sources"])
     assert any(c["smallest_detectable"] for c in found["candidates"] if c["effect"] == "torque_delay")
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
