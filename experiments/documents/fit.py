@@ -24,6 +24,7 @@ from experiments.documents.fit_parts import (
     budget_of,
     opinion_of,
 )
+from experiments.documents.tuning import Entry
 from experiments.judge import (
     Trust,
     check_fit,
@@ -106,16 +107,6 @@ class Gain(Struct, frozen=True, kw_only=True):
     ci95: Annotated[tuple[float, float], Meta(description="95 % interval")]
 
 
-class Chosen(Struct, frozen=True, kw_only=True):
-    """An entry of rig.toml that the records chose."""
-
-    table: Annotated[str, Meta(description="of rig.toml")]
-    key: Annotated[str, Meta(description="in the table")]
-    value: Annotated[Any, Meta(description="chosen")]
-    why: Annotated[str, Meta(description="the reason")]
-    changes: Annotated[str, Meta(description="what it changes, measured")]
-
-
 class Friction(Struct, frozen=True, kw_only=True):
     """Share of Coulomb friction in the energy that a joint's friction takes."""
 
@@ -144,7 +135,7 @@ class FitDocument(Document, kw_only=True):
     noise: Annotated[ByChannel, Meta(
         description="1 sigma by channel: `accel_mps2` is the rms of both axes; `torque_nm` the largest of "
         "`torque_nm_by_joint`; several IMUs have `gyro1_radps`, ...; `disturbance2_nm` and `_s` are level and time "
-        "constant at joint 2")]
+        "constant at joint 2; `unseen2_nm` acts there between samples")]
     noise_by_run: Annotated[LevelsByRun | None, Meta(description="null if equal in all runs")] = None
     torque_residual_rms_nm: Annotated[tuple[Number, ...], Meta(description="measured less modelled, by joint")]
     converged: Annotated[bool, Meta(description="false: use no number")]
@@ -176,7 +167,7 @@ class FitDocument(Document, kw_only=True):
     readings: Annotated[tuple[dict[str, object], ...], Meta(
         description="[faulty readings](docs/exchange.md#a-look-at-the-readings): `run`, `column`, `what`, ...")] = ()
     servo_gain: Annotated[Gain | None, Meta(description="null if it was known")] = None
-    chosen: Annotated[tuple[Chosen, ...], Meta(description="entries that the records chose")] = ()
+    chosen: Annotated[tuple[Entry, ...], Meta(description="entries that the records chose")] = ()
     damaged: Damaged = ()
     provenance: From = UNSET
 
@@ -217,7 +208,7 @@ class FitDocument(Document, kw_only=True):
             driven=tuple(j + 1 for j in m.actuated), force_unit=m.force_unit, length_unit=m.length_unit,
             set_aside=tuple(set_aside), readings=tuple(faulty_readings(runs)),
             servo_gain=None if servo_gain is None else Gain(value=servo_gain[0], ci95=servo_gain[1:]),
-            chosen=tuple(Chosen(**choice.document) for choice in choices), damaged=tuple(damaged_runs(runs)))
+            chosen=tuple(Entry(**choice.document) for choice in choices), damaged=tuple(damaged_runs(runs)))
 
     @property
     def levels(self) -> dict[str, float]:
