@@ -26,7 +26,7 @@ from estimator.likelihood import GaussRows, LatentProblem, Noise, State
 from estimator.numerics import eliminate
 from estimator.options import FitOptions
 
-ACTIVE = 0.85
+MOVES = 0.85
 """Noise level over the activity of neighbouring samples, below which a part of that activity is motion. (Of white noise
 alone it is 0.9 to 1.1 on legs under a plan, and 0.55 to 0.73 under a PD loop of several ticks a sample.)"""
 
@@ -54,7 +54,7 @@ def _moves(problem: LatentProblem, noise: Noise, joints: list[int]) -> bool:
     """Whether the level of a driven torque, a gyro or an accelerometer is below what its neighbouring samples show."""
     shown = problem.shown
     pairs = ((noise.torque[joints], shown.torque[joints]), (noise.gyro, shown.gyro), (noise.accel, shown.accel))
-    return any(bool(np.any(level < ACTIVE * activity)) for level, activity in pairs)
+    return any(bool(np.any(level < MOVES * activity)) for level, activity in pairs)
 
 
 def log_marginal(problem: LatentProblem, state: State) -> float:
