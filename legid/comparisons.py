@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from daq import Dataset, WorkError
+from daq import Dataset
 from experiments.documents import ComparisonDocument, finite
 from experiments.judge import Comparison as Found
 from experiments.judge import horizon_text
 from experiments.provenance import Origin
 from experiments.reports import comparison_text, write_comparison
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,15 +36,13 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
     def made_from(cls, found: Found, runs: Sequence[Dataset], mechanism: str, origin: Origin) -> Comparison:
         """The comparison of two models of `mechanism` on `runs`."""
         made = cls.of(found, [run for run in runs if run.name in found.runs])
-        made.__dict__["compared"] = Compared(found, tuple(runs), mechanism)
+        made.__dict__["made"] = Compared(found, tuple(runs), mechanism)
         made.provenance = origin
         return made
 
     def page(self, path: Path | str) -> None:
         """Write the page of `legid compare --html`. Raises `InputError`, and `WorkError` for a document of a file."""
-        known = self.__dict__.get("compared")
-        if known is None:
-            raise WorkError("this comparison was read from a file, which has no motion; run legid.compare")
+        known: Compared = kept_with(self, "comparison", "motion; run legid.compare")
         write_comparison(path, self, known.found.table, known.mechanism, known.runs)
 
     def to_frame(self, what: str = "errors") -> DataFrame:

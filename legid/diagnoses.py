@@ -21,7 +21,7 @@ from experiments.reports import (
     write_diagnosis,
 )
 from experiments.session import Prepared
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,11 +55,7 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         return found
 
     def _made(self) -> Made:
-        try:
-            made: Made = self.__dict__["made"]
-        except KeyError:
-            raise WorkError("this diagnosis was read from a file, which has no models and no curves; run "
-                            "legid.diagnose") from None
+        made: Made = kept_with(self, "diagnosis", "models and no curves; run legid.diagnose")
         return made
 
     @property

@@ -24,7 +24,7 @@ from experiments.reports import (
     write_fit,
 )
 from experiments.workflows import Fitted
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,11 +55,7 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return found
 
     def _made(self) -> Made:
-        try:
-            made: Made = self.__dict__["made"]
-        except KeyError:
-            raise WorkError("this fit was read from a file, which has no covariance and no motion; run legid.fit"
-                            ) from None
+        made: Made = kept_with(self, "fit", "covariance and no motion; run legid.fit")
         return made
 
     @property

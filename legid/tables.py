@@ -19,6 +19,14 @@ class Shown:
         return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
 
 
+def kept_with(document: object, name: str, lack: str) -> Any:
+    """Input from which a verb made `document`. Raises `WorkError` for a document of a file, which lacks that."""
+    try:
+        return vars(document)["made"]
+    except KeyError:
+        raise WorkError(f"this {name} was read from a file, which has no {lack}") from None
+
+
 def frame(columns: Mapping[str, Any], index: str | None = None) -> DataFrame:
     """`columns` as a DataFrame, one of them as its index. Raises `WorkError` where pandas is not installed."""
     try:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from daq import WorkError
 from estimator.prediction import Validation as PlainValidation
 from estimator.prediction import segments_as
 from experiments.documents import ValidationDocument, finite
@@ -20,7 +19,7 @@ from experiments.reports import (
     write_validation,
 )
 from experiments.workflows import ValidationReport, compared_text
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,15 +71,12 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
     def made_from(cls, report: ValidationReport, model: Model, where: str, origin: Origin) -> Validations:
         """Validations of `model`, which `where` names, made from the files of `origin`."""
         found = report.as_document(cls)
-        found.__dict__["measured"] = Measured(report, model, where, segments_as(Validation, report.table))
+        found.__dict__["made"] = Measured(report, model, where, segments_as(Validation, report.table))
         found.provenance = origin
         return found
 
     def _measured(self) -> Measured:
-        try:
-            made: Measured = self.__dict__["measured"]
-        except KeyError:
-            raise WorkError("this validation was read from a file, which has no motion; run legid.validate") from None
+        made: Measured = kept_with(self, "validation", "motion; run legid.validate")
         return made
 
     def __len__(self) -> int:

@@ -93,10 +93,9 @@ def _draw(problem: LatentProblem, noise: Noise, draws: int, rng: np.random.Gener
         gyro[k] *= np.reshape(np.sqrt(problem.gyro_variance(k, noise)), (-1, 1))
         accel[k] = np.linalg.cholesky(np.linalg.inv(noise.accel_precision(k))) @ accel[k]
         accel[k] *= 1.0 if scale is None else scale.accel[k][:, :, None]
-    level = noise.unseen if noise.unseen.any() else np.zeros(problem.n)
     unseen = np.zeros((problem.n, 2, problem.left.size, draws))
-    for j in map(int, np.flatnonzero(level)):
-        unseen[j] = level[j] * rng.normal(size=unseen.shape[1:])
+    for j in map(int, np.flatnonzero(noise.unseen)):
+        unseen[j] = noise.unseen[j] * rng.normal(size=unseen.shape[1:])
     return _Drawn(torque, encoder, gyro, accel, unseen)
 
 

@@ -12,23 +12,14 @@ from msgspec import UNSET, Meta, Struct
 from daq import Dataset
 from estimator import ChangeVerdict
 from estimator.change import Change, Kind, LevelChange
+from experiments.documents.diagnosis_parts import CauseSize, Interval
 from experiments.documents.document import Damaged, Document, From, Number
 from experiments.judge import next_of_change
 from experiments.provenance import Source
 from experiments.session import SetAside, damaged_runs
 
 REFERENCE_NAMES = ("the reference runs", "these runs")
-Interval = Annotated[tuple[Number, Number], Meta(description="its 95 % interval")]
 Joint = Annotated[int | None, Meta(description="from 1; of a payload its link; null for the whole rig")]
-
-
-class Size(Struct, frozen=True, kw_only=True):
-    """Change of one size."""
-
-    name: Annotated[str, Meta(description="the size, or parameter")]
-    unit: Annotated[str, Meta(description="its unit")]
-    value: Annotated[float, Meta(description="the change")]
-    ci95: Interval
 
 
 class Cause(Struct, frozen=True, kw_only=True):
@@ -39,7 +30,7 @@ class Cause(Struct, frozen=True, kw_only=True):
     joint: Joint
     meaning: Annotated[str, Meta(description="in words")]
     p_value: Annotated[float, Meta(description="over all candidates tried")]
-    size: Annotated[tuple[Size, ...], Meta(description="one entry a size")]
+    size: Annotated[tuple[CauseSize, ...], Meta(description="one entry a size")]
     confusable_with: Annotated[tuple[str, ...], Meta(description="empty")] = ()
 
 
@@ -114,7 +105,8 @@ class Answer(Document, kw_only=True):
         return cls(
             verdict=found.verdict, sentence=found.sentence, **more,
             causes=tuple(Cause(effect=c.effect, kind=c.kind, joint=c.joint, meaning=c.sentence, p_value=c.p_value,
-                               size=tuple(Size(name=s.name, unit=s.unit, value=s.value, ci95=s.ci95) for s in c.size))
+                               size=tuple(CauseSize(name=s.name, unit=s.unit, value=s.value, ci95=s.ci95)
+                                          for s in c.size))
                          for c in found.causes),
             candidates=tuple(Candidate(
                 effect=d.effect, joint=d.joint, size_name=d.name, p_value=d.p_value, change=d.change, unit=d.unit,

@@ -11,8 +11,10 @@ from daq import Dataset
 from estimator import Verdict
 from estimator.diagnosis import MATERIAL, Diagnosis, SensorGain
 from experiments.documents.diagnosis_parts import (
+    Before,
     GainOnHeldOut,
     Learnt,
+    Named,
     NamedCause,
     Place,
     Residual,
@@ -39,20 +41,6 @@ class Rotated(Struct, frozen=True, kw_only=True):
     confirm_runs: Annotated[tuple[str, ...], Meta(description="held out")]
     sizes: Annotated[dict[str, Number], Meta(description="fitted to the others, by `effect@joint.size`")]
     falls: Annotated[bool, Meta(description="whether the error falls by `material`")]
-
-
-class Before(Struct, frozen=True, kw_only=True):
-    """Error before and after."""
-
-    before: Annotated[Number, Meta(description="of the nominal model")]
-    after: Annotated[Number, Meta(description="of the extended one")]
-
-
-class Named(Struct, frozen=True, kw_only=True):
-    """One effect of an explanation."""
-
-    effect: Annotated[str, Meta(description="of the library")]
-    joint: Place
 
 
 class Explanation(Struct, frozen=True, kw_only=True):

@@ -21,6 +21,20 @@ WHOLE_RIG = frozenset({"rotor_inertia"})
 """Effects that the library places at a joint and the contract does not."""
 
 
+class Before(Struct, frozen=True, kw_only=True):
+    """Error before and after."""
+
+    before: Annotated[Number, Meta(description="of the nominal model")]
+    after: Annotated[Number, Meta(description="of the extended one")]
+
+
+class Named(Struct, frozen=True, kw_only=True):
+    """One effect of an explanation."""
+
+    effect: Annotated[str, Meta(description="of the library")]
+    joint: Place
+
+
 class CauseSize(Struct, frozen=True, kw_only=True):
     """One size of a cause."""
 

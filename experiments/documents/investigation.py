@@ -10,25 +10,11 @@ from msgspec import UNSET, Meta, Struct
 
 from estimator import Verdict
 from estimator.diagnosis import Diagnosis
-from experiments.documents.diagnosis_parts import contract_joint, split_key
+from experiments.documents.diagnosis_parts import Before, Named, contract_joint, split_key
 from experiments.documents.document import Document, From, Number
 from experiments.judge import Ending, Investigation
 from experiments.judge import Experiment as FoundExperiment
 from experiments.judge import Step as FoundStep
-
-
-class BelievedCause(Struct, frozen=True, kw_only=True):
-    """One cause of an answer."""
-
-    effect: Annotated[str, Meta(description="the effect")]
-    joint: Annotated[int | None, Meta(description="from 1, or null")]
-
-
-class ErrorPair(Struct, frozen=True, kw_only=True):
-    """Error of both models."""
-
-    before: Annotated[Number, Meta(description="of the nominal model")]
-    after: Annotated[Number, Meta(description="of the extended one")]
 
 
 class Explanation(Struct, frozen=True, kw_only=True):
@@ -43,8 +29,8 @@ class Belief(Struct, frozen=True, kw_only=True):
 
     verdict: Annotated[Verdict, Meta(description="as of a diagnosis")]
     sentence: Annotated[str, Meta(description="the answer")]
-    causes: Annotated[tuple[BelievedCause, ...], Meta(description="one entry a cause")]
-    error: Annotated[ErrorPair | None, Meta(description="held-out error in units of noise alone, or null")]
+    causes: Annotated[tuple[Named, ...], Meta(description="one entry a cause")]
+    error: Annotated[Before | None, Meta(description="held-out error in units of noise alone, or null")]
     compared: Annotated[tuple[Explanation, ...], Meta(description="the likeliest first")]
     warnings: Annotated[tuple[str, ...], Meta(description="of the diagnosis")] = ()
 
@@ -54,9 +40,9 @@ class Belief(Struct, frozen=True, kw_only=True):
         if found is None:
             return None
         return cls(verdict=found.verdict, sentence=found.sentence, warnings=tuple(found.warnings),
-                   causes=tuple(BelievedCause(effect=c.effect, joint=contract_joint(c.effect, c.joint))
+                   causes=tuple(Named(effect=c.effect, joint=contract_joint(c.effect, c.joint))
                                 for c in found.causes),
-                   error=None if found.error is None else ErrorPair(before=found.error[0], after=found.error[1]),
+                   error=None if found.error is None else Before(before=found.error[0], after=found.error[1]),
                    compared=tuple(Explanation(explanation=explanation(keys),
                                               error=float(error) if np.isfinite(error) else None)
                                   for keys, error in found.compared))
