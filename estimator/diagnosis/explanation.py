@@ -151,7 +151,7 @@ def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
     The most likely stands for all, unless it leaves something detectable and another does not.
     """
     most, *others = sorted(adequate, key=lambda o: -o.gain)
-    near = [most, *(o for o in others if is_close(o, most))]
+    near = [most, *(o for o in others if is_close(o, most) or (both_leave(o, most) and equivalent(o, most)))]
     best = next((o for o in near if not o.has_residual), most)
     return distinguishable([best, *(o for o in near if o is not best and
                              (not o.has_residual or best.has_residual or equivalent(o, best)))])
@@ -172,6 +172,16 @@ def is_close(other: Explanation, most: Explanation) -> bool:
     worse = other.by_run - most.by_run
     return bool(most.gain - other.gain <= margin(other, most) + LEAST_APART
                 or np.maximum(-worse, 0.0).sum() > (1.0 - SURE) * np.abs(worse).sum())
+
+
+def both_leave(one: Explanation, other: Explanation) -> bool:
+    """Whether both leave something detectable that is worth more than the difference between them.
+
+    What neither explains then decides which is the likelier: effects of one group, which only their
+    `Effect.distinguishing_size` tells apart, are not told apart by it.
+    """
+    left = min(one.further.max(initial=0.0), other.further.max(initial=0.0))
+    return one.has_residual and other.has_residual and abs(one.gain - other.gain) <= left
 
 
 def margin(other: Explanation, most: Explanation) -> float:

@@ -88,6 +88,17 @@ def test_what_both_leave_can_make_a_tie(scale: list[float], rotor: list[float], 
     assert names(indistinguishable_set([likely, other])) == told
 
 
+@pytest.mark.parametrize(("left", "told"), [
+    (140.0, ["torque_offset", "asymmetric_friction"]),  # more than the 43 between them: it decides nothing
+    (30.0, ["torque_offset"])])
+def test_what_both_leave_does_not_tell_effects_of_one_group_apart(left: float, told: list[str]) -> None:
+    likely, other = (replace(explanation(effect, gain, by_run, sizes, has_residual=True),
+                             further=np.full(TESTS, left))
+                     for effect, gain, by_run, sizes in ((TorqueOffset(), 1546.0, [0.0] * 6, [20.0]),
+                                                         (AsymmetricFriction(2), 1503.0, [7.0] * 6, [20.0, 0.5])))
+    assert names(indistinguishable_set([likely, other])) == told
+
+
 def constants(stiffness: float, viscous: float) -> list[Explanation]:
     """A constant torque told in three ways, with these sizes, in standard deviations, that set two of them apart."""
     return [explanation(JointStiffness(1), 1001.0, [0.0] * 6, [stiffness, 50.0]),
