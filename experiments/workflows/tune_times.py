@@ -99,6 +99,8 @@ def vary_times(bench: Bench, rig: Rig, now: Trial, done: Callable[[float], None]
         if not late[grid][1] and start.hold == "auto":
             continue  # that is what the first trial found
         attempt(Times(grid, late[grid][0], late[grid][1] if _delay_is_open(rig) else 0.0))
+        if _delay_is_open(rig):  # a step of a slow log can be a smooth torque that its device has averaged
+            attempt(_as_late("smooth", grid, *late[grid]))
     best = _chosen(tried, start)
     more = _holds(best.rate_hz, *late.get(best.rate_hz, ("smooth", 0.0)), _delay_is_open(rig))
     for k, times in enumerate(more):
@@ -132,12 +134,16 @@ def _between(bench: Bench, rig: Rig) -> tuple[str, float]:
 
 
 def _holds(rate_hz: float, hold: str, delay_s: float, open_delay: bool) -> list[Times]:
-    """The likeliest hold and those of the rig file, and with the delay that makes each as late as the likeliest."""
-    late_s = delay_s + lag(hold) / rate_hz
+    """The likeliest hold and the others, and a held torque that is as late as the likeliest with its delay."""
     found = [Times(rate_hz, each, 0.0) for each in dict.fromkeys((hold, *HOLDS))]
     if open_delay and delay_s:
-        found += [Times(rate_hz, each, round(late_s - lag(each) / rate_hz, 6)) for each in ("zero", "smooth")]
+        found.append(_as_late("zero", rate_hz, hold, delay_s))
     return found
+
+
+def _as_late(other: str, rate_hz: float, hold: str, delay_s: float) -> Times:
+    """The hold `other` with the delay by which its torque acts as late as with `hold` and `delay_s`."""
+    return Times(rate_hz, other, round(delay_s + (lag(hold) - lag(other)) / rate_hz, 6))
 
 
 def _rig(rig: Rig, times: Times) -> Rig:
