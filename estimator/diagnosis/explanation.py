@@ -105,7 +105,7 @@ def admissible(explanation: Explanation) -> bool:
 
 
 def presence(explanation: Explanation) -> list[bool]:
-    """For each effect, whether a defining size is significant, no size has an impossible sign, and shapes are in range.
+    """For each effect, whether a defining size is significant, none is impossible, and shapes are in range.
 
     A gear of zero compliance with friction and inertia of its motor is no elastic gear.
     """
@@ -113,7 +113,8 @@ def presence(explanation: Explanation) -> list[bool]:
     for k, (effect, size) in enumerate(zip(explanation.model.named, explanation.model.sizes())):
         counts = significant(explanation, k)
         below = size[: effect.positive] < 0.0
-        wrong = (below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
+        wrong = ((below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
+                 or not effect.possible(size))
         out.append(bool(counts[: effect.defining].any() and not wrong))
     return out
 

@@ -241,6 +241,10 @@ class Effect(ABC):
         """Number of sizes and shapes."""
         return len(self.sizes) + len(self.shapes)
 
+    def possible(self, size: FloatArray) -> bool:
+        """Whether a device can have these sizes (count,), their signs apart."""
+        return True
+
     def told(self, size: FloatArray) -> str:
         """`sentence` with what the signs of the sizes (count,) say, in words."""
         return self.sentence

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
+import numpy as np
+
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, View
 from estimator.model import Mechanism
 from estimator.signals import Channel, encoder_of, total
 
 NO_ENCODER = "this joint has no encoder on this path"
+TRIED = 361
+"""Angles of a turn at which an encoder's error is looked at."""
 
 
 class ImuEffect(SensorEffect):
@@ -32,6 +36,12 @@ class EncoderEffect(SensorEffect):
     @abstractmethod
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
         """Error (N,) at angle q (N,) [rad]."""
+
+    def possible(self, size: FloatArray) -> bool:
+        """Whether the reading grows with the angle: one that turns back is another angle's, not this encoder's error.
+        """
+        turn = np.linspace(-np.pi, np.pi, TRIED)
+        return bool(np.all(np.diff(turn + self.error(turn, size)) > 0.0))
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         j = self.joint or 0

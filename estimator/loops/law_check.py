@@ -65,7 +65,7 @@ def check_law(runs: Sequence[LawRun], joint: int, known: Found = ()) -> LawCheck
     """The faults of a joint's (0-based) readings and loop that its law shows in `runs`, with those `known` beforehand.
 
     A fault is named where the law errs by more than LEAST_SHARE, and the fault explains the share SUFFICES of that,
-    with a size that differs from zero over runs.
+    with a size that differs from zero over runs. Nothing is named where the law with all that was found is `broken`.
     """
     begin = now = LawFit(tuple(runs), known)
     causes: list[LawCause] = []
@@ -85,6 +85,8 @@ def check_law(runs: Sequence[LawRun], joint: int, known: Found = ()) -> LawCheck
             causes.append(LawCause(fault.effect, joint, size, std, p, (now.share, best.share),
                                    rivals(best, tried, now), count - 1))
         now = best
+    if now.share > BROKEN:  # then its faults are not those of the devices either: a torque controller has no such law
+        return LawCheck(joint, begin, begin, ())
     return LawCheck(joint, begin, now, tuple(causes))
 
 

@@ -6,6 +6,7 @@ reading less its delay.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -100,6 +101,8 @@ def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
     return "\n".join(parts)
 
 
+COMMAND = re.compile(r"qd?\d+_cmd_rad(ps)?")
+"""Columns that a run can do without: of a controller that one session logged, and another did not."""
 MARK = "# Guessed by legid import. Check sum of the lines below, as long as nobody changes them: "
 
 
@@ -129,14 +132,18 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     """The file as a run, on a grid of `rate_hz` (default: that of its slowest signal).
 
     Columns that come at times of their own, or with delays of their own, are each put on the grid by the rule that
-    native runs are; a column of the contract's name that the map does not mention is taken as it is. A table without
-    times has `rate_hz` rows a second. Raises `InputError` naming file and column.
+    native runs are; a column of the contract's name that the map does not mention is taken as it is. A file of several
+    may lack a command, which is said. A table without times has `rate_hz` rows a second. Raises `InputError` naming
+    file and column.
     """
     whole = {**identity(imported), **columns}
     if any(ANY in column.name for column in whole.values()):
         raise InputError(imported.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
                          "file a run")
     imported = with_computed(imported, whole)
+    lacks = {name: column.name for name, column in whole.items() if COMMAND.fullmatch(name)
+             and column.name not in imported.names and column.name not in imported.left_out}
+    whole = {name: column for name, column in whole.items() if name not in lacks}
     channels, wrong, flags = _channels(imported, whole, rate_hz)
     if not channels:
         raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
@@ -147,6 +154,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
     wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
     told = (Flag("rows", _told(wrong)),) if wrong else ()
+    told += tuple(Flag("rows", f"has no column {column!r}, and so no {name}") for name, column in lacks.items())
     return replace(run, flags=(*flags, *run.flags, *told))
 
 

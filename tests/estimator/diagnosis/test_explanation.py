@@ -13,6 +13,7 @@ from daq import FloatArray
 from estimator.diagnosis.explanation import Explanation, indistinguishable_set, presence, undetermined
 from estimator.effects import Effect
 from estimator.effects.asymmetric_friction import AsymmetricFriction
+from estimator.effects.encoder_eccentricity import EncoderEccentricity
 from estimator.effects.encoder_scale import EncoderScale
 from estimator.effects.joint_elasticity import JointElasticity
 from estimator.effects.joint_stiffness import JointStiffness
@@ -129,6 +130,13 @@ def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
 def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     likely = explanation(EncoderScale(1), 1500.0, [0.0] * 6, has_residual=True)
     assert names(indistinguishable_set([likely, explanation(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
+
+
+@pytest.mark.parametrize(("effect", "sizes", "there"), [
+    (EncoderScale(1), [-0.5], True), (EncoderScale(1), [-1.2], False),
+    (EncoderEccentricity(1), [0.05, 0.05], True), (EncoderEccentricity(1), [0.84, 0.75], False)])
+def test_a_reading_that_turns_back_is_no_error_of_an_encoder(effect: Effect, sizes: list[float], there: bool) -> None:
+    assert effect.possible(np.array(sizes)) is there
 
 
 @pytest.mark.parametrize(("effect", "sizes", "there"), [

@@ -164,6 +164,16 @@ def test_an_input_of_another_law_is_said_and_nothing_is_named() -> None:
     assert found.verdict == "none" and "is not gain x (command - angle)" in found.warnings[0]
 
 
+def test_a_law_that_leaves_most_of_the_input_names_no_fault() -> None:
+    """A controller of torque that feeds a plan forward, too: an eccentric encoder halves what a position loop lacks."""
+    def fed_forward(of: dict[str, Wave]) -> dict[str, FloatArray]:
+        spoilt = eccentric(of)
+        return {**spoilt, "tau2_nm": spoilt["tau2_nm"] + 0.15 * np.sin(7.0 * TIME)}
+
+    (check,) = law_checks(runs(fed_forward), LEG)
+    assert check.broken and not check.causes and not check.after.faults
+
+
 def test_an_input_that_a_law_made_says_nothing_of_the_law() -> None:
     assert law_checks([replace(run, by_law=(2,)) for run in runs()], LEG) == []
     assert law_checks([replace(run, columns={"q2_rad": run["q2_rad"]}) for run in runs()], LEG) == []

@@ -148,3 +148,14 @@ def test_who_has_a_command_is_led_to_the_servo() -> None:
     assert lacking is not None and "[servo]" in lacking.remedy and "actuated" not in lacking.remedy
     nothing = missing(rig, ["time_s", "q1_rad", "q2_rad"])
     assert nothing is not None and "q2_cmd_rad" in nothing.remedy
+
+
+def test_a_session_that_logged_no_command_is_imported_without_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                                 capsys: pytest.CaptureFixture[str]) -> None:
+    first = log(tmp_path / "log1.csv", servo_run(), ("knee_cmd_deg", "knee_deg"), (DEGREE, DEGREE), (1, 1))
+    written(tmp_path / "log2.csv", time=servo_run(seed=2).time_s, knee_deg=servo_run(seed=2)["q1_rad"] / DEGREE)
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", first.name, "log2.csv", "--yes", "--out", "runs"]) == 0
+    assert "log2.csv has no column 'knee_cmd_deg', and so no q1_cmd_rad" in capsys.readouterr().err
+    header = (tmp_path / "runs/log2.csv").read_text().splitlines()
+    assert any("q1_rad" in line for line in header[:9]) and not any("q1_cmd_rad" in line for line in header[:9])
