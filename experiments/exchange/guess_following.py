@@ -31,7 +31,7 @@ from experiments.exchange.guess_servo import (
 )
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import measured_angles, too_many
-from experiments.exchange.layouts import loads_of, motor_columns, stated
+from experiments.exchange.layouts import loads_of, motor_columns, stated, without_sign
 from experiments.exchange.registers import angle_register
 from experiments.exchange.units import unit_in_name
 
@@ -49,7 +49,8 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
     """
     angles, commands = measured_angles(imported), commands_of(imported)
     counts = any(angle_register(imported, name) for name in angles)
-    if not commands or not angles or (fitting(imported, "tau", True) and not counts):
+    torques = [name for name in fitting(imported, "tau", True) if not without_sign(imported, name)]
+    if not commands or not angles or (torques and not counts):
         return None, []
     imu = has(imported, "gyro", "accel")
     if len(angles) > MOST_LINKS and not imu:

@@ -141,6 +141,12 @@ def motor_columns(imported: ImportedFile) -> dict[str, Column]:
     return known | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
 
 
+def without_sign(imported: ImportedFile, name: str) -> bool:
+    """Whether a column of BAM's layout is a magnitude, as the torque and the current of kscalelabs/sysid are."""
+    values = imported.table_of(name).columns[name]
+    return BAM_ANGLE in imported.names and bool(np.nanmin(values) >= 0.0)
+
+
 def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[str]:
     """Sentences on what the files of a layout leave open."""
     if imported.facts.get("layout") == "lerobot":

@@ -150,6 +150,18 @@ def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.Capt
     assert any("15.8 (command - angle) at kp 100" in text for text in other.warnings)
 
 
+def test_a_magnitude_of_torque_in_bam_s_layout_is_no_torque(tmp_path: Path) -> None:
+    """As kscalelabs/sysid logs an STS3215: torque and current are never negative, and the load is 0."""
+    file = bam(tmp_path / "x.json", servo_run(seconds=6.0, rate_hz=100.0), "sts3215", released_s=4.0)
+    content = json.loads(file.read_text())
+    for k, entry in enumerate(content["entries"]):
+        entry |= {"load": 0, "torque": 3.0 * abs(np.sin(0.1 * k)), "current": 133.6 + k % 5}
+    file.write_text(json.dumps(content))
+    found = guess_map(read_imported(file))
+    assert set(found.columns) == {"time_s", "q1_rad", "q1_cmd_rad", "volts", "torque_enable"}
+    assert any("16.6 (command - angle) at kp 100" in text for text in found.warnings)
+
+
 def test_a_trajectory_is_the_command_at_the_states_times(tmp_path: Path) -> None:
     run = servo_run(seconds=6.0)
     points = np.arange(0.1, 5.9, 0.05)
