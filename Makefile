@@ -151,9 +151,10 @@ imu-links: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/evidence/imu-links.md
 
 # Legs that follow a command, and the records of a real servo: a quarter of an hour. Called again it goes on; MINUTES=, SEED=.
+# ONLY=hidden RECORDS=0 MINUTES=60: hidden causes alone, to build/evidence. A diagnosis ends after five minutes of processor time.
 servos: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
-		--seed $(or $(SEED),7000) --out docs/evidence/servos.md
+		--seed $(or $(SEED),7000) --only "$(ONLY)" --out $(if $(ONLY),build,docs)/evidence/servos.md
 
 # Friction laws of servos fitted to the same runs: four minutes; BAM= and SYSID= are copies of Rhoban/bam and kscalelabs/sysid.
 servo-laws: $(STAMP)

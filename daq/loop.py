@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -51,12 +52,26 @@ class Loop:
 
     def wanted(self, error: Value, rate_error: Value, integral: Value = 0.0) -> FloatArray:
         """w by the error c - q [rad], the error of the rate [rad/s] and the integral of the error [rad s]."""
-        wanted = self.gain * error + self.damping * rate_error + self.integral * integral
-        return np.clip(wanted, -self.limit, self.limit)
+        wanted = self.gain * error + self.damping * rate_error
+        if self._uses["integral"]:
+            wanted = wanted + self.integral * integral
+        return np.asarray(np.minimum(np.maximum(wanted, -self.limit), self.limit) if self._uses["limit"] else wanted)
 
     def acting(self, wanted: Value, rate: Value, supply: Value) -> FloatArray:
         """u [N m] by w, the joint's rate [rad/s] and the supply [V]."""
-        return np.clip(self.per_volt * supply * wanted - self.braking * rate, -self.most, self.most)
+        free = supply * wanted
+        if self._uses["per_volt"]:
+            free = self.per_volt * free
+        if self._uses["braking"]:
+            free = free - self.braking * rate
+        return np.asarray(np.minimum(np.maximum(free, -self.most), self.most) if self._uses["most"] else free)
+
+    @cached_property
+    def _uses(self) -> dict[str, bool]:
+        """Whether each value differs from the one that does nothing, at any instant: simulations ask a loop often."""
+        idle = {"integral": 0.0, "limit": np.inf, "per_volt": 1.0, "braking": 0.0, "most": np.inf}
+        values = {name: np.asarray(getattr(self, name)) for name in idle}  # NaN at joints without a loop
+        return {name: bool(np.any((x != idle[name]) & ~np.isnan(x))) for name, x in values.items()}
 
     def at(self, index: Any) -> Self:
         """The loop at some of its instants, where it has arrays."""

@@ -3,6 +3,7 @@ from .blocks import Mean as Mean
 from .blocks import block_means as block_means
 from .blocks import mean_interval as mean_interval
 from .blocks import mean_of as mean_of
+from .columns import ENABLED as ENABLED
 from .columns import IMU as IMU
 from .columns import LOAD_COLUMN as LOAD_COLUMN
 from .columns import VOLTAGE as VOLTAGE

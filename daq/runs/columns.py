@@ -31,6 +31,8 @@ LOAD_COLUMN = re.compile(r"load([1-9]|1[0-9]|20)_raw")
 """Load of a joint as its servo logs it, in a unit that nobody has stated: kept, and read by no verb."""
 VOLTAGE = "voltage1_v"
 """Of a motor that drives joint 1; in its place a run may have `duty` and `volts`."""
+ENABLED = "torque_enable"
+"""Whether that motor is switched on: 1 or 0, as the registers of servos have it."""
 
 
 def is_contract_column(name: str) -> bool:
@@ -40,8 +42,7 @@ def is_contract_column(name: str) -> bool:
         return match[3] in _ENDINGS[match[1]]
     if _IMU_COLUMN.fullmatch(name) or LOAD_COLUMN.fullmatch(name):
         return True
-    return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v",
-                                                         VOLTAGE, *IMU, *OPTIONAL)
+    return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", "supply_v", VOLTAGE, ENABLED, *IMU, *OPTIONAL)
 
 
 class Missing(NamedTuple):

@@ -20,7 +20,7 @@ from estimator.effects.base import (
 )
 from estimator.effects.command_delay import CommandDelay
 from estimator.effects.commanded import Commanded, Told
-from estimator.effects.derivatives import Laws, by_motion, in_loop
+from estimator.effects.derivatives import FEATURES, Around, Laws, by_motion
 from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
@@ -36,8 +36,10 @@ from estimator.effects.torque_delay import TorqueDelay
 
 __all__ = [
     "ENTRY_POINT",
+    "FEATURES",
     "UNTESTABLE",
     "WHEEL_M",
+    "Around",
     "Axis",
     "Backlash",
     "BodyEffect",
@@ -78,7 +80,6 @@ __all__ = [
     "battery",
     "by_motion",
     "classes",
-    "in_loop",
     "library",
     "placed",
     "summed",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -59,7 +60,7 @@ class Commanded:
         late = 0.5 * np.asarray(loop.period_s) + loop.delay_s
         return cls(loop, supply, summed, place, told, told.at(place, late))
 
-    @property
+    @cached_property
     def follows(self) -> NDArray[np.bool_]:
         """(n,) joints that have a loop."""
         gain = np.asarray(self.loop.gain)
@@ -73,6 +74,15 @@ class Commanded:
 
     def of_joint(self, joint: int) -> Self:
         """The commands of one joint, arrays (1, ...)."""
+        if joint not in self._joints:
+            self._joints[joint] = self._of_joint(joint)
+        return self._joints[joint]
+
+    @cached_property
+    def _joints(self) -> dict[int, Self]:
+        return {}
+
+    def _of_joint(self, joint: int) -> Self:
         own, (angle, rate) = slice(joint, joint + 1), self.heard
         told = replace(self.told, angle=self.told.angle[own], rate=self.told.rate[own])
         return replace(self, loop=self.loop.at(own), supply=self.supply[own], summed=self.summed[own], told=told,
@@ -86,14 +96,33 @@ class Commanded:
         A loop that holds for a period T sees the motion T / 2 before, q - v T/2 + a T^2/8, to which order its torque is
         that of the ticks on average. A low pass of the rate with the time constant F adds F to its T / 2.
         """
+        held, squared, rate_late = self._lags
+        angle, rate = self._heard(late_s) if late_s else self.heard
+        told = self.loop.feedforward * rate if self._feeds else 0.0
+        return angle - (q - held * v + squared * a), told - (v - rate_late * a)
+
+    @cached_property
+    def _lags(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, ...) by which the motion that the loops see is late [s], half its square, and by which its rate is."""
         held = 0.5 * np.asarray(self.loop.period_s)
-        angle, rate = self.heard
-        if late_s:
-            angle, rate = self.told.at(self.place, held + self.loop.delay_s + late_s)
-        rate_late = held + self.loop.velocity_filter_s
-        return angle - (q - held * v + 0.5 * held**2 * a), self.loop.feedforward * rate - (v - rate_late * a)
+        return held, 0.5 * held**2, held + self.loop.velocity_filter_s
+
+    @cached_property
+    def _feeds(self) -> bool:
+        return bool(np.nan_to_num(np.asarray(self.loop.feedforward)).any())
+
+    def _heard(self, late_s: float) -> tuple[FloatArray, FloatArray]:
+        """`heard` with commands that are later than stated; the last one is kept."""
+        if late_s not in self._later:
+            self._later.clear()
+            self._later[late_s] = self.told.at(self.place, self._lags[0] + self.loop.delay_s + late_s)
+        return self._later[late_s]
+
+    @cached_property
+    def _later(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        return {}
 
     def input(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """(n, ...) input [N m] that the loops make at a motion (n, ...); zero at a joint without one."""
         found = self.loop.acting(self.loop.wanted(*self.error(q, v, a), self.summed), v, self.supply)
-        return np.nan_to_num(found)
+        return np.where(np.isnan(found), 0.0, found)

@@ -11,26 +11,30 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects.base import Joined, LawEffect, Points, StateEffect, View
+from estimator.effects.loop_effect import MOTION_STEPS, LoopEffect, central, moved_sides
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
-STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3, "sign": 1e-4, "state": 1e-4}
+STEPS = {**MOTION_STEPS, "sign": 1e-4, "state": 1e-4}
 """Of the central differences, by field of `Points`."""
+FEATURES = {"q": ANGLE, "v": RATE, "a": ACCEL}
 
 
-def by_motion(effect: Joined, at: Points, size: FloatArray, view: View, joint: int | None = None,
-              loops: bool = False) -> dict[str, FloatArray]:
-    """Derivatives (...) of an effect's law by angle, rate, acceleration and smoothed sign of a `joint`, by default its
-    own; with `loops` the torque of its loop moves, too."""
-    j = (effect.joint or 0) if joint is None else joint
-    return {name: _slope(effect, at, size, view, name, j, loops) for name in STEPS if name != "state"}
+def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, joint: int | None = None,
+              state: FloatArray | None = None) -> dict[str, FloatArray]:
+    """Derivatives (...) of an effect's law by the motion of a `joint`, by default its own.
 
-
-def _slope(effect: Joined, at: Points, size: FloatArray, view: View, name: str, joint: int | None = None,
-           loops: bool = False) -> FloatArray:
-    """Derivative (...) of the law by one array of `at`, at one joint where the array has joints."""
-    h, driven = STEPS[name], in_loop if loops else lambda at: at
-    up, down = (effect.law(driven(_moved(at, name, joint, by)), size, view) for by in (h, -h))
-    return np.asarray((up - down) / (2.0 * h))
+    They are by angle, rate, acceleration and, where it feels that, smoothed sign. `state` z (K + 1,) is that at the
+    ends of the intervals.
+    """
+    own = effect.joint or 0
+    j = own if joint is None else joint
+    if isinstance(effect, LoopEffect):
+        return effect.slopes(around, size, view) if j == own else {}
+    found = {}
+    for name in (*FEATURES, "sign"):
+        up, down = (effect.law(_in_state(at, state), size, view) for at in around.sides(name, j))
+        found[name] = np.asarray((up - down) / (2.0 * STEPS[name]))
+    return found
 
 
 def in_loop(at: Points) -> Points:
@@ -45,12 +49,53 @@ def loop_torque(at: Points) -> FloatArray:
     return at.commanded.input(at.q[:n], at.v[:n], at.a[:n])
 
 
-def _moved(at: Points, name: str, joint: int | None, by: float) -> Points:
-    """`at` with one array moved by `by`, at one joint where it has joints."""
-    values = np.array(getattr(at, name))
-    values[... if joint is None else joint] += by
-    moved: dict[str, Any] = {name: values}
-    return replace(at, **moved)
+@dataclass(frozen=True)
+class Around:
+    """Points near `at`, for central differences of all laws there: what they have in common is made once."""
+
+    at: Points
+    loops: bool = False
+    """Whether position loops make torque on top of that in `at`, which moves with the motion."""
+
+    @cached_property
+    def loop_slopes(self) -> dict[str, FloatArray]:
+        """Derivatives (n, ...) of the torque of each loop by angle, rate and acceleration of its joint."""
+        return central(self.loop_sides)
+
+    @cached_property
+    def loop_sides(self) -> FloatArray:
+        """(6, n, ...) torque of the loops at `moved_sides` of their joints."""
+        assert self.at.commanded is not None
+        n = len(self.at.u)
+        return self.at.commanded.input(*moved_sides(self.at.q[:n], self.at.v[:n], self.at.a[:n]))
+
+    @cached_property
+    def driving(self) -> FloatArray:
+        """(n, ...) torque of the loops at `at`."""
+        return loop_torque(self.at)
+
+    def sides(self, name: str, joint: int) -> tuple[Points, Points]:
+        """`at` with one array moved up and down at one joint."""
+        key = name, joint
+        if key not in self._kept:
+            self._kept[key] = self._side(name, joint, 0), self._side(name, joint, 1)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, int], tuple[Points, Points]]:
+        return {}
+
+    def _side(self, name: str, joint: int, which: int) -> Points:
+        values = np.array(getattr(self.at, name))
+        values[joint] += STEPS[name] * (1 - 2 * which)
+        moved: dict[str, Any] = {name: values}
+        if self.loops and self.at.commanded is not None:
+            driving = self.driving
+            if name in FEATURES and joint < len(driving):
+                driving = driving.copy()
+                driving[joint] = self.loop_sides[2 * list(FEATURES).index(name) + which, joint]
+            moved["u"] = self.at.u + driving
+        return replace(self.at, **moved)
 
 
 @dataclass(frozen=True)
@@ -85,30 +130,27 @@ class Laws:
 
     def slopes(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
         """(n, 5, n, 2, K) its derivatives by the features of the motion."""
-        at = self._points(motion, where)
+        around = Around(self._points(motion, where), self.closed)
         n = len(motion.angle)
         out = np.zeros((n, 5, n, *motion.angle.shape[1:]))
-        if self.closed:
-            self._loop_slopes(at, out)
+        if self.closed:  # each loop feels its own joint
+            every = np.arange(len(around.at.u))
+            for name, slope in around.loop_slopes.items():
+                out[every, FEATURES[name], every] -= slope
         for part, size, state in self._parts(z):
             j = part.joint or 0
             for k in part.felt(n):
-                found = by_motion(part, _in_state(at, state), size, self.view, k, self.closed)
-                for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
-                    out[j, feature, k] += found[name]
+                found = by_motion(part, around, size, self.view, k, state)
+                sign = found.pop("sign", None)
+                for name, slope in found.items():
+                    out[j, FEATURES[name], k] += slope
+                if sign is None:
+                    continue
                 scale = self.view.mechanism.velocity_scales[k]
                 _, by_from, by_to = mean_sign(motion.rate_from[k], motion.rate_to[k], scale)
-                out[j, RATE_FROM, k] += found["sign"] * by_from
-                out[j, RATE_TO, k] += found["sign"] * by_to
+                out[j, RATE_FROM, k] += sign * by_from
+                out[j, RATE_TO, k] += sign * by_to
         return out
-
-    @staticmethod
-    def _loop_slopes(at: Points, out: FloatArray) -> None:
-        """Add those of the position loops to `out` (n, 5, n, 2, K): each feels its own joint."""
-        for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
-            h, j = STEPS[name], np.arange(len(at.u))
-            up, down = (loop_torque(_moved(at, name, None, by)) for by in (h, -h))
-            out[j, feature, j] -= (up - down) / (2.0 * h)
 
     def by_states(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
         """(n, 2, S, K) derivatives of the torque by the states at the Gauss points."""
@@ -116,8 +158,9 @@ class Laws:
         n, points, count = motion.angle.shape
         out = np.zeros((n, points, z.shape[1], count))
         for s, (effect, size) in enumerate(self.with_state):
-            found = _slope(effect, _in_state(at, z[:, s]), size, self.view, "state", None, self.closed)
-            out[effect.joint or 0, :, s] = found
+            here, h = _in_state(in_loop(at) if self.closed else at, z[:, s]), STEPS["state"]
+            up, down = (effect.law(replace(here, state=here.state + by), size, self.view) for by in (h, -h))
+            out[effect.joint or 0, :, s] = (up - down) / (2.0 * h)
         return out
 
     def gaps(self, v: FloatArray, z: FloatArray) -> FloatArray:
@@ -171,13 +214,22 @@ class Laws:
             column += effect.has_state
 
     def _points(self, motion: Motion, where: slice) -> Points:
-        g = self.view.gauss
-        cut = (..., slice(self.first + where.start, self.first + where.stop))
+        key = where.start, where.stop
+        if key not in self._kept:
+            self._kept[key] = self._cut((..., slice(self.first + where.start, self.first + where.stop)))
         sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scales[:, None, None])[0]
-        told = None if g.commanded is None else g.commanded.cut(cut)
-        return Points(motion.angle, motion.rate, motion.accel, g.u[cut], sign, g.time_s[cut], g.session_s[cut],
-                      g.run[cut], np.asarray(g.exchanged)[cut] if np.ndim(g.exchanged) else g.exchanged,
-                      commanded=told)
+        return replace(self._kept[key], q=motion.angle, v=motion.rate, a=motion.accel, sign=sign)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[int, int], Points]:
+        """What does not change with the motion, by the first interval and that after the last."""
+        return {}
+
+    def _cut(self, cut: Any) -> Points:
+        g = self.view.gauss
+        return Points(g.q[cut], g.v[cut], g.a[cut], g.u[cut], g.sign[cut], g.time_s[cut], g.session_s[cut], g.run[cut],
+                      np.asarray(g.exchanged)[cut] if np.ndim(g.exchanged) else g.exchanged,
+                      commanded=None if g.commanded is None else g.commanded.cut(cut))
 
 
 def _in_state(at: Points, z: FloatArray | None) -> Points:

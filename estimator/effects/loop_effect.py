@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from daq import FloatArray
 from estimator.effects.base import Axis, Points, TorqueEffect, View
 from estimator.effects.commanded import Commanded
+
+MOTION_STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3}
+"""Of central differences by angle, rate and acceleration."""
+
+
+class Around(Protocol):
+    """Points that slopes are taken around."""
+
+    @property
+    def at(self) -> Points:
+        """The points."""
 
 
 class LoopEffect(TorqueEffect):
@@ -23,13 +34,37 @@ class LoopEffect(TorqueEffect):
         if at.commanded is None or not at.commanded.follows[j]:
             return np.zeros_like(at.q[j])
         own, told = slice(j, j + 1), at.commanded.of_joint(j)
-        motion = at.q[own], at.v[own], at.a[own]
-        return np.asarray((told.input(*motion) - self.acting(told, motion, size, view))[0])
+        return self._lacking(told, (at.q[own], at.v[own], at.a[own]), size, view)[0]
+
+    def slopes(self, around: Around, size: FloatArray, view: View) -> dict[str, FloatArray]:
+        """Derivatives (...) of the law by angle, rate and acceleration of its joint; empty where nothing follows."""
+        at, j = around.at, self.joint or 0
+        if at.commanded is None or not at.commanded.follows[j]:
+            return {}
+        return central(self._lacking(at.commanded.of_joint(j), moved_sides(at.q[j], at.v[j], at.a[j]), size, view))
+
+    def _lacking(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
+                 ) -> FloatArray:
+        return np.asarray(told.input(*motion) - self.acting(told, motion, size, view))
 
     @abstractmethod
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:
-        """(1, ...) torque of the loop [N m] at a motion q, v, a (1, ...) of its joint."""
+        """(m, ...) torque of the loop [N m] at m motions q, v, a (m, ...) of its joint; `told` has (1, ...)."""
+
+
+def moved_sides(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A motion (...) six times (6, ...): with the angle up and down, then the rate, then the acceleration."""
+    found = tuple(np.repeat(np.asarray(x)[None], 6, axis=0) for x in (q, v, a))
+    for k, (x, h) in enumerate(zip(found, MOTION_STEPS.values())):
+        x[2 * k] += h
+        x[2 * k + 1] -= h
+    return found[0], found[1], found[2]
+
+
+def central(sides: FloatArray) -> dict[str, FloatArray]:
+    """Derivatives (...) by angle, rate and acceleration of values (6, ...) at `moved_sides`."""
+    return {name: (sides[2 * k] - sides[2 * k + 1]) / (2.0 * h) for k, (name, h) in enumerate(MOTION_STEPS.items())}
 
 
 def made(told: Commanded, error: FloatArray, rate_error: FloatArray, rate: FloatArray) -> FloatArray:

@@ -16,7 +16,8 @@ from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Stage, State
 from estimator.options import FitOptions
-from estimator.result import LoopTerm
+from estimator.result import TWO_SIDED, LoopTerm
+from estimator.score import Score, robust_covariance
 from estimator.signals import SignalSet
 
 KINDS: dict[str, type[Effect]] = {"delay_s": CommandDelay, "limit": LimitValue, "integral": MissingIntegral,
@@ -24,7 +25,7 @@ KINDS: dict[str, type[Effect]] = {"delay_s": CommandDelay, "limit": LimitValue, 
 """Key of `[servo]` -> the effect whose size it is, in the order in which they are tried."""
 LATEST_S = 0.2
 """Largest delay of a command that is believed."""
-FACTOR = 1.5
+FACTOR = 2.0
 """By which a limit may differ from where it is sought"""
 UNLIMITED = 1e6
 """Limit from which on a loop has none"""
@@ -66,8 +67,9 @@ def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequ
     return found.with_disturbance() if problem.disturbed else found
 
 
-def with_loop_terms(fitted: Fitted, keys: Sequence[str]) -> Loops:
-    """The fit with the values `keys` of every loop that makes the torque of its joint.
+def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False) -> Loops:
+    """The fit with the values `keys` of every loop that makes the torque of its joint; with `unlimited` their limits
+    are held where no motion meets them.
 
     It stays as it was where a fit with them does not converge.
     """
@@ -76,23 +78,24 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str]) -> Loops:
            if (start := _start(fitted, key, j)) is not None]
     if not own:
         return Loops(state, value=value_of(fitted.problem, state))
-    effects, starts = [KINDS[key](j) for key, j, _ in own], [start for *_, start in own]
+    held = np.array([unlimited and key == "limit" for key, *_ in own])
+    effects, starts = [KINDS[key](j) for key, j, _ in own], np.where(held, UNLIMITED, [start for *_, start in own])
     wide, count = extended(fitted.problem, fitted.signals, effects), len(own)
     begin = State(state.x, np.append(state.beta, starts), state.noise.levels(),
                   np.zeros((state.beta.size + count,) * 2))
     try:
-        again = iterate(wide, begin, np.append(fitted.free, np.ones(count, dtype=bool)), fitted.options,
+        again = iterate(wide, begin, np.append(fitted.free, ~held), fitted.options,
                         noise_floors(wide, wide.mechanism, state.beta))
     except (FitError, np.linalg.LinAlgError):
         return Loops(state, value=value_of(fitted.problem, state))
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
-    if not again.converged or not all(map(_believed, own, sizes)):
+    if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
         return Loops(state, value=value_of(fitted.problem, state))
     p = state.beta.size
     short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
                   state.iterations + again.iterations, misfit=again.misfit)
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
-                  for (key, j, _), size, one in zip(own, sizes, std))
+                  for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
     return Loops(short, tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms,
                  value_of(wide, again))
 
@@ -109,7 +112,15 @@ def _believed(one: tuple[str, int, float], size: float) -> bool:
 def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]:
     """Values of loops by the runs: those of the keys `sure`, then of each other key of `options.unknown_loop` whether
     the runs show it."""
-    now = with_loop_terms(fitted, sure)
+    now, limited = with_loop_terms(fitted, sure), True
+    if not now.terms and "limit" in sure:  # with values that may be zero it need not converge: one after the other
+        sure = [key for key in sure if key in ("delay_s", "limit")]
+        now = with_loop_terms(fitted, sure)
+    if any(one.key == "limit" for one in now.terms):
+        bare = with_loop_terms(fitted, sure, unlimited=True)
+        joints = [one.joint for one in now.terms if one.key == "limit"]
+        gained = [float(np.mean(np.log(each.state.noise.levels().torque[joints]))) for each in (bare, now)]
+        limited = not bare.extra or _is_shown(fitted, 2.0 * fitted.problem.total * (gained[0] - gained[1]))
     rest = [key for key in KINDS if key in fitted.options.unknown_loop and key not in sure]
     keys, told = list(sure), list[LoopTerm]()
     for key in rest:
@@ -117,14 +128,29 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
             continue
         tried = with_loop_terms(fitted, [*keys, key])
         own = [one for one in tried.terms if one.key == key]
-        fall = now.value - tried.value
-        shown = fall > max(LEAST_GAIN * fitted.problem.total, SURE**2) and any(
-            one.value > SURE * one.std for one in own)
+        shown = _is_shown(fitted, now.value - tried.value) and any(one.value > SURE * one.std for one in own)
         told += [] if shown else [replace(one, found=False) for one in own]
         if shown:
             now, keys = tried, [*keys, key]
-    sized = [replace(one, found=one.key == "delay_s" or one.value > SURE * one.std) for one in now.terms]
+    sized = [replace(one, found=one.key == "delay_s" or ((one.key != "limit" or limited)
+                                                         and one.value > SURE * one.std)) for one in now.terms]
     return (*sized, *told)
+
+
+def _is_shown(fitted: Fitted, fall: float) -> bool:
+    """Whether a value makes -2 log likelihood fall by more than chance, and by a material share."""
+    return fall > max(LEAST_GAIN * fitted.problem.total, SURE**2)
+
+
+def scattered(terms: Sequence[LoopTerm], scores: Sequence[Score]) -> tuple[LoopTerm, ...]:
+    """`terms` of a fit whose runs disagree, with standard deviations that the scatter of its runs' scores shows.
+
+    The terms are the last of the scores' columns; see `robust_covariance`. None is less than that by noise.
+    """
+    covariance, quantile = robust_covariance(np.array([one.score for one in scores]),
+                                             np.array([one.information for one in scores]))
+    wide = (np.sqrt(np.maximum(np.diag(covariance), 0.0)) * quantile / TWO_SIDED)[-len(terms) :]
+    return tuple(replace(one, std=max(one.std, float(std))) for one, std in zip(terms, wide))
 
 
 def value_of(problem: LatentProblem, state: State) -> float:

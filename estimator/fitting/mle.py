@@ -34,7 +34,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
-from estimator.fitting.loop_terms import Extra, Fitted, extended, with_loop_terms
+from estimator.fitting.loop_terms import Extra, Fitted, extended, scattered, with_loop_terms
 from estimator.fitting.motion_search import search_hold, search_motion, without_age
 from estimator.fitting.noise_levels import (
     colour,
@@ -150,6 +150,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if state.converged and not extra:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    result = replace(result, loop=loops.terms)
     faults, less = tuple[SmallFault, ...](), list[SignalSet]()
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
@@ -165,7 +166,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
                                        "Run legid diagnose")
     unseen = unseen_text(state.noise, mechanism.unit("N m"))
     said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), unseen, slow, found) if text)
-    return _Fitted(replace(result, assumptions=(*result.assumptions, *said), loop=loops.terms), value, options.hold,
+    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value, options.hold,
                    known._replace(aged=aged), faults, less)
 
 
@@ -269,6 +270,8 @@ def _with_scores(result: FitResult, problem: LatentProblem, signals: list[Signal
     covariance, agreement = agreement_of(scores.of(np.arange(free.size)), np.append(result.beta, state.beta[
         result.beta.size :]), result.covariance, free, known)
     result = with_scatter(replace(result, agreement=agreement), covariance)
+    if agreement.disagree and result.loop:
+        result = replace(result, loop=scattered(result.loop, scores.of(np.flatnonzero(free)).scores))
     omitted = omitted_effects(result, seen, free, small) if options.seeks_omitted else result.omitted
     return replace(result, omitted=omitted), faults, less
 

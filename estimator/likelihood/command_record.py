@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,5 +41,6 @@ def _at_gauss(samples: Commanded, left: NDArray[np.intp]) -> Commanded:
 
     both = len(samples.supply), 2, left.size
     held = samples.loop.at((slice(None), left))
-    loop = Loop(**{name: np.broadcast_to(values[:, None], both) for name, values in vars(held).items()})
+    values = {f.name: np.asarray(getattr(held, f.name)) for f in fields(held)}
+    loop = Loop(**{name: np.broadcast_to(value[:, None], both) for name, value in values.items()})
     return Commanded.of(loop, between(samples.supply), between(samples.summed), between(samples.place), samples.told)

@@ -14,10 +14,10 @@ from itertools import product
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import Effect, Perturbation, StateTorque, TorqueEffect, View, by_motion
+from estimator.effects import FEATURES, Around, Effect, Perturbation, StateTorque, TorqueEffect, View, by_motion
 from estimator.likelihood.normal_equations import Extra, ReadingColumns
 from estimator.likelihood.stage import Candidate
-from estimator.model import ACCEL, ANGLE, RATE
+from estimator.model import RATE
 from estimator.signals import Channel
 
 Sized = Sequence[tuple[Effect, FloatArray]]
@@ -99,14 +99,17 @@ def law_slopes(pairs: Sized, view: View) -> tuple[FloatArray | None, FloatArray 
         return None, None
     n, scale = len(view.samples.q), view.mechanism.velocity_scales
     at_gauss, at_samples = (np.zeros((n, 5, *at.q.shape)) for at in (view.gauss, view.samples))
+    gauss, samples = Around(view.gauss), Around(view.samples)
     for law, size in laws:
         j = law.joint or 0
         joints = law.felt(n) if isinstance(law, StateTorque) else (j,)  # generic terms take their own joint's only
-        for k, (at, out) in product(joints, ((view.gauss, at_gauss), (view.samples, at_samples))):
-            found = by_motion(law, at, size, view, k)
-            for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
-                out[j, feature, k] += found[name]
-            out[j, RATE, k] += found["sign"] * np.maximum(1.0 - at.sign[k] ** 2, 0.0) ** 1.5 / scale[k]
+        for k, (around, out) in product(joints, ((gauss, at_gauss), (samples, at_samples))):
+            found = by_motion(law, around, size, view, k)
+            sign = found.pop("sign", None)
+            for name, slope in found.items():
+                out[j, FEATURES[name], k] += slope
+            if sign is not None:
+                out[j, RATE, k] += sign * np.maximum(1.0 - around.at.sign[k] ** 2, 0.0) ** 1.5 / scale[k]
     return at_gauss, at_samples
 
 

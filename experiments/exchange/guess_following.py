@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Column
+from daq.runs import ENABLED
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_leg import guess_leg
 from experiments.exchange.guess_names import fitting, has, time_column
@@ -30,7 +31,7 @@ from experiments.exchange.guess_servo import (
 )
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import measured_angles, too_many
-from experiments.exchange.layouts import duty_and_volts, loads_of, stated
+from experiments.exchange.layouts import loads_of, motor_columns, stated, without_sign
 from experiments.exchange.registers import angle_register
 from experiments.exchange.units import unit_in_name
 
@@ -48,7 +49,8 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
     """
     angles, commands = measured_angles(imported), commands_of(imported)
     counts = any(angle_register(imported, name) for name in angles)
-    if not commands or not angles or (fitting(imported, "tau", True) and not counts):
+    torques = [name for name in fitting(imported, "tau", True) if not without_sign(imported, name)]
+    if not commands or not angles or (torques and not counts):
         return None, []
     imu = has(imported, "gyro", "accel")
     if len(angles) > MOST_LINKS and not imu:
@@ -126,10 +128,12 @@ def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: 
     """The guess for a single joint that follows a command; with its duty and volts where the file has both."""
     theirs = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
     joint = find_servo_joint(apply_map(imported, clock | theirs), one)
-    driven = duty_and_volts(imported)
+    driven = motor_columns(imported)
     columns = joint.columns | driven | clock
     warnings = [*joint.warnings, VOLTS if "duty" in driven else servo_hint([1])]
     notes = reasons | joint.notes | dict.fromkeys(driven, "by its layout; the motor's voltage is duty times volts")
+    if ENABLED in driven:
+        notes[ENABLED] = "by its name; a motor that is off is open, and has no voltage"
     curves = {"q1_cmd_rad - q1_rad: measured, and computed from the motion [rad]": joint.check}
     return Guess(columns, notes, warnings, [], apply_map(imported, columns), curves)
 

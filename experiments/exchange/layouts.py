@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from daq import Column, InputError, read_bytes
-from daq.runs import LOAD_COLUMN
+from daq.runs import ENABLED, LOAD_COLUMN
 from experiments.exchange.imported import ImportedFile, Table
-from experiments.exchange.registers import PWM_FULL, angle_register, duty_register, maker
+from experiments.exchange.registers import PWM_FULL, angle_register, maker, motor_registers
 from experiments.exchange.units import unit_in_name
 
 STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
@@ -127,18 +127,24 @@ def _split(name: str) -> tuple[str, str]:
     return kind, SIGNAL.sub("", name[len(kind) :])
 
 
-def duty_and_volts(imported: ImportedFile) -> dict[str, Column]:
-    """The columns `duty` and `volts` of a layout, or of them what it has; empty for other files."""
-    if BAM_LOAD in imported.names and BAM_VOLTS in imported.names:
-        load, volts = imported.table_of(BAM_LOAD).columns[BAM_LOAD], {"volts": Column(name=BAM_VOLTS)}
-        load = load[np.isfinite(load)]
-        if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
-            return volts  # of other servos BAM does not say what its load is
-        counts = np.abs(load).max() > 1.0
-        return volts | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else
-                        Column(name=BAM_LOAD)}
-    found = duty_register(imported)
-    return {} if found is None else dict(zip(("duty", "volts"), found))
+def motor_columns(imported: ImportedFile) -> dict[str, Column]:
+    """The columns `duty`, `volts` and `torque_enable` of a layout, or of them what it has; empty for other files."""
+    if BAM_LOAD not in imported.names or BAM_VOLTS not in imported.names:
+        return motor_registers(imported)
+    on = imported.table_of(BAM_ON).columns[BAM_ON] if BAM_ON in imported.names else np.ones(1)
+    known = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
+    load = imported.table_of(BAM_LOAD).columns[BAM_LOAD]
+    load = load[np.isfinite(load)]
+    if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
+        return known  # of other servos BAM does not say what its load is
+    counts = np.abs(load).max() > 1.0
+    return known | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
+
+
+def without_sign(imported: ImportedFile, name: str) -> bool:
+    """Whether a column of BAM's layout is a magnitude, as the torque and the current of kscalelabs/sysid are."""
+    values = imported.table_of(name).columns[name]
+    return BAM_ANGLE in imported.names and bool(np.nanmin(values) >= 0.0)
 
 
 def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[str]:

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Column, FloatArray
+from daq.runs import ENABLED
 from experiments.exchange.imported import ImportedFile
 
 TURN = 4096
@@ -66,26 +67,33 @@ def angle_register(imported: ImportedFile, name: str) -> Column | None:
     return structs.replace(how, sign_bit=15) if most >= 2**15 and maker(imported) != DYNAMIXEL else how
 
 
-def duty_register(imported: ImportedFile) -> tuple[Column, Column] | None:
-    """Columns of the duty and of the supply's volts, of one servo's registers; None where they are not both there."""
+def motor_registers(imported: ImportedFile) -> dict[str, Column]:
+    """Columns `duty` and `volts` of one servo's registers, where both are there, and `torque_enable`, where it changes.
+    """
     found = {_plain(name): name for name in imported.names}
-    volts, pwm, load = (next((name for plain, name in found.items() if re.fullmatch(rf"(.*_)?{what}", plain)), "")
-                        for what in (r"(input_)?voltage", "present_pwm", "present_load"))
+    volts, pwm, load, on = (next((name for plain, name in found.items() if re.fullmatch(rf"(.*_)?{what}", plain)), "")
+                            for what in (r"(input_)?voltage", "present_pwm", "present_load", ENABLED))
+    enabled = {ENABLED: Column(name=on)} if on and np.ptp(_known(imported, on)) > 0.0 else {}
     if not volts or not (pwm or load) or not _moves(imported, pwm or load):
-        return None
-    read = imported.table_of(volts).columns[volts]
-    read = read[np.isfinite(read)]
-    supply = Column(name=volts, scale=0.1 if read.size and np.median(read) > MOST_VOLTS else 1.0)
-    if pwm:
-        return Column(name=pwm, scale=1.0 / PWM_FULL, bits=16), supply
-    return Column(name=load, scale=1.0 / LOAD_FULL, sign_bit=10), supply
+        return enabled
+    read = _known(imported, volts)
+    supply = Column(name=volts, scale=0.1 if np.median(read) > MOST_VOLTS else 1.0)
+    duty = Column(name=pwm, scale=1.0 / PWM_FULL, bits=16) if pwm else \
+        Column(name=load, scale=1.0 / LOAD_FULL, sign_bit=10)
+    return {"duty": duty, "volts": supply, **enabled}
+
+
+def _known(imported: ImportedFile, name: str) -> FloatArray:
+    """Its numbers that were read; one zero where none was."""
+    values = imported.table_of(name).columns[name]
+    known = values[np.isfinite(values)]
+    return known if known.size else np.zeros(1)
 
 
 def _moves(imported: ImportedFile, name: str) -> bool:
     """Its numbers are counts, and differ."""
-    values = imported.table_of(name).columns[name]
-    values = values[np.isfinite(values)]
-    return bool(values.size and values.max() > 2.0 and np.ptp(values) > 0.0)
+    values = _known(imported, name)
+    return bool(values.max() > 2.0 and np.ptp(values) > 0.0)
 
 
 def _plain(name: str) -> str:

@@ -23,6 +23,7 @@ UNITS: dict[str, dict[str, float]] = {
     "degc": {"degc": 1.0, "°c": 1.0, "c": 1.0},
     "raw": {"raw": 1.0},
     "duty": {"": 1.0, "%": 1e-2},
+    "enable": {"": 1.0},
     "volts": {"v": 1.0, "mv": 1e-3},
     "v": {"v": 1.0, "mv": 1e-3},
 }

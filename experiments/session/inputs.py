@@ -13,6 +13,7 @@ from daq import Dataset, FloatArray, Rig, Steps
 from daq.runs import VOLTAGE
 from estimator.calibration import DistanceMeter, angle_record
 from estimator.signals import STANCE, added_by_delay, cut_steps, imu_columns, shifted, slow_part
+from experiments.session.motor_off import without_motor_off
 from experiments.session.servo_law import with_law
 
 TORQUE = re.compile(r"tau\d+_nm?")
@@ -23,8 +24,9 @@ AGES = 2.0
 
 def driven(data: Dataset, rig: Rig) -> Dataset:
     """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
-    a torque channel what its law gives; with the absolute angle that a distance meter shows; and a walker's cut into
-    steps. A torque is where `[timing]` says that it acts, an IMU's reading where `[imu]` says that it was true.
+    a torque channel what its law gives, and a gap where the motor is off; with the absolute angle that a distance meter
+    shows; and a walker's cut into steps. A torque is where `[timing]` says that it acts, an IMU's reading where
+    `[imu]` says that it was true.
 
     A voltage is in the column `voltage1_v` [V]; every parameter is then in volt units. A run that has its input is
     returned with it as it is. Raises `FitError` where a walker's steps cannot be told.
@@ -37,6 +39,7 @@ def driven(data: Dataset, rig: Rig) -> Dataset:
     if rig.distance_meter is not None and "distance_m" in data:
         d = rig.distance_meter
         data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
+    data = without_motor_off(data, rig)
     if rig.servo is not None and rig.servo.gain is not None:
         data = with_law(data, rig, rig.servo)
     if rig.mechanism.input != "voltage" or VOLTAGE in data or "duty" not in data:

@@ -30,7 +30,7 @@ from experiments.session import (
     suspect,
     with_choices,
 )
-from experiments.workflows.loop_values import LoopValues, find_loop_values, in_units, loop_findings
+from experiments.workflows.loop_values import LoopValues, find_loop_values, in_units, loop_findings, with_open_damping
 from experiments.workflows.servo_gain import scaled
 
 D = TypeVar("D", bound=FitDocument)
@@ -110,6 +110,7 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
         gain, choices = (size, size - half, size + half), in_units(choices, size)
     known = with_choices(rig, choices)
     if known.servo is not None and choose and method == "mle":
+        result = with_open_damping(result, known.servo)
         findings += loop_findings(result, known.servo)
     if gain is not None and known.servo is not None:
         known = structs.replace(known, servo=structs.replace(known.servo, gain=gain[0]))

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from daq import Dataset, Rig, Servo
-from estimator import Finding, FitError, FitResult, LoopTerm
+from estimator import TWO_SIDED, Finding, FitError, FitResult, LoopTerm
 from estimator.fitting import UNLIMITED, find_loop, limit_met
 from estimator.model import Mechanism
 from experiments.session import Choice, Setup, prepare, with_choices
 
 ROUNDS, SMALL_S, SMALL = 8, 2e-4, 2e-3
 """Most times that the values are sought; steps of the delay [s], and shares of others, that need no further round."""
+AT_LIMIT = 0.999
+"""Share of the largest torque from which on a loop is at its limit."""
 WHY = {"delay_s": "commands that act late", "limit": "a loop that gives no more",
        "integral": "a loop that integrates its error", "damping": "a loop that damps"}
 """Key of `[servo]` -> why the runs ask for it."""
@@ -130,6 +132,29 @@ def in_units(choices: Sequence[Choice], gain: float) -> tuple[Choice, ...]:
 
     return tuple(replace(one, value=scaled(one.value)) if one.table == "servo" and one.key in ABSENT else one
                  for one in choices)
+
+
+def with_open_damping(result: FitResult, stated: Servo) -> FitResult:
+    """`result` with limits of loops that are as uncertain as a damping that nobody states makes them.
+
+    A loop that damps within its limit l asks for gain e - d q'. With d = 0 the fit has d as viscous friction, which
+    acts beyond the limit, too, and its limit is l + d q' there. At most, d is all of the viscous friction b: b times
+    the largest rate at the limit, in quadrature with what noise leaves open, is half of the interval.
+    """
+    if stated.damping is not None or any(one.key == "damping" and one.found for one in result.loop):
+        return result
+    viscous = {p.at[0]: float(b) for p, b in zip(result.mechanism.parameters, result.beta) if p.term == "viscous"}
+
+    def widened(one: LoopTerm) -> LoopTerm:
+        if one.key != "limit":
+            return one
+        torque, rate = (np.concatenate([x[:, one.joint] for x in columns]) for columns in (
+            [t.tau_measured for t in result.trajectories], [t.qd for t in result.trajectories]))
+        there = np.abs(torque) >= AT_LIMIT * np.nanmax(np.abs(torque))
+        open_by = viscous.get(one.joint, 0.0) * float(np.max(np.abs(rate[there])))
+        return replace(one, std=float(np.hypot(one.std, open_by / TWO_SIDED)))
+
+    return replace(result, loop=tuple(map(widened, result.loop)))
 
 
 def loop_findings(result: FitResult, stated: Servo) -> list[Finding]:

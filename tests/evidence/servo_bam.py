@@ -30,8 +30,6 @@ from tests.support.paths import REAL, ROOT
 FOLDER, RIG = REAL / "bam_xl330", ROOT / "studies/rigs/bam_xl330_diagnose.toml"
 TRAIN = ("sin_sin", "up_and_down", "lift_and_drop")
 TEST = ("sin_time_square",)
-ON = 0.99
-"""Share of a sample from which on the motor counts as switched on"""
 MASS_KG, ARM_M, G, STEP_S = 0.49, 0.1, 9.81, 5e-4
 EFFECTS = ("load_dependent_friction", "directional_load_friction")
 """That are fitted together with Coulomb and viscous friction"""
@@ -54,15 +52,10 @@ def rig() -> Rig:
 
 
 def records(kinds: tuple[str, ...]) -> list[Dataset]:
-    """Runs with their command as the contract names it.
-
-    `lift_and_drop` switches the motor off. It is open then and its back-EMF does not brake, so its input is not 0 V but
-    missing.
-    """
+    """Runs with their command as the contract names it; `lift_and_drop` switches the motor off."""
     paths = [FOLDER / f"kp{gain}_{kind}.csv.gz" for kind in kinds for gain in (100, 400)]
-    return [replace(d, columns={("q1_cmd_rad" if n == "goal_rad" else n):
-                                np.where(d["torque_enable"] < ON, np.nan, v) if n == "voltage1_v" else v
-                                for n, v in d.columns.items()}) for d in as_datasets(paths, load_rig(RIG))]
+    return [replace(d, columns={("q1_cmd_rad" if n == "goal_rad" else n): v for n, v in d.columns.items()})
+            for d in as_datasets(paths, load_rig(RIG))]
 
 
 def friction(p: Mapping[str, float], motor: float, load: float, rate: float) -> float:

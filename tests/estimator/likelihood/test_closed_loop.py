@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from daq import Dataset
-from estimator.effects import Told
+from estimator.effects import Around, LawEffect, Told, by_motion, classes
 from estimator.free_runs import FittedModel
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import leg2
@@ -86,3 +87,23 @@ def test_commands_are_linear_between_samples_and_stay_within_their_segment() -> 
     assert told.at(place, np.zeros((1, 1)))[0][0] == pytest.approx([0.0, 2.0, 3.0, 10.0, 11.0, 12.0])
     late, rate = told.at(place, np.full((1, 1), 0.1))
     assert late[0] == pytest.approx([0.0, 0.5, 1.0, 10.0, 10.0, 10.0]) and rate == pytest.approx(2.0 * late)
+
+
+def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
+    one = smooth(MODEL, recorded("limited"), FitOptions(sensors="encoder"))
+    state = one.state
+    at = one.problem.view(state.x, state.beta).gauss
+    view = one.problem.view(state.x, state.beta)
+    for name, size in (("command_delay", [0.01]), ("input_limit", [0.7, 0.2]), ("supply_sag", [0.2]),
+                       ("command_dead_band", [0.02]), ("gain_scale", [0.1]), ("command_steps", [0.5, 0.03])):
+        effect = next(kind for kind in classes() if kind.name == name)(1)
+        assert isinstance(effect, LawEffect)
+        found = by_motion(effect, Around(at, loops=True), np.array(size), view)
+        for field, h in (("q", 1e-5), ("v", 1e-5), ("a", 1e-3)):
+            moved = [np.array(getattr(at, field)) for _ in range(2)]
+            moved[0][1] += h
+            moved[1][1] -= h
+            sides: list[dict[str, Any]] = [{field: x} for x in moved]
+            up, down = (effect.law(replace(at, **side), np.array(size), view) for side in sides)
+            assert found[field] == pytest.approx((up - down) / (2.0 * h), abs=1e-6), (name, field)
+            assert np.abs(found[field]).max() > 0.0 or field == "a" or name == "command_steps"

@@ -135,9 +135,10 @@ def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.Capt
     run = servo_run(seconds=6.0, rate_hz=200.0)
     file = bam(tmp_path / "x.json", run, "xl330", released_s=4.0)
     found = guess_map(read_imported(file))
-    assert set(found.columns) == {"time_s", "q1_rad", "q1_cmd_rad", "duty", "volts"}
+    assert set(found.columns) == {"time_s", "q1_rad", "q1_cmd_rad", "duty", "volts", "torque_enable"}
     within = run.time_s < 3.99
     read = apply_map(read_imported(file), found.columns)
+    assert np.array_equal(read["torque_enable"] >= 0.99, read.time_s < 4.0)
     given = read["q1_cmd_rad"][: int(within.sum())]
     assert given == pytest.approx(run["q1_cmd_rad"][within], abs=1e-6)
     assert np.isnan(read["q1_cmd_rad"][read.time_s > 4.02]).all() or read.time_s[-1] < 4.02
@@ -147,6 +148,18 @@ def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.Capt
     other = guess_map(read_imported(bam(tmp_path / "y.json", run, "mx106")))
     assert "duty" not in other.columns
     assert any("15.8 (command - angle) at kp 100" in text for text in other.warnings)
+
+
+def test_a_magnitude_of_torque_in_bam_s_layout_is_no_torque(tmp_path: Path) -> None:
+    """As kscalelabs/sysid logs an STS3215: torque and current are never negative, and the load is 0."""
+    file = bam(tmp_path / "x.json", servo_run(seconds=6.0, rate_hz=100.0), "sts3215", released_s=4.0)
+    content = json.loads(file.read_text())
+    for k, entry in enumerate(content["entries"]):
+        entry |= {"load": 0, "torque": 3.0 * abs(np.sin(0.1 * k)), "current": 133.6 + k % 5}
+    file.write_text(json.dumps(content))
+    found = guess_map(read_imported(file))
+    assert set(found.columns) == {"time_s", "q1_rad", "q1_cmd_rad", "volts", "torque_enable"}
+    assert any("16.6 (command - angle) at kp 100" in text for text in found.warnings)
 
 
 def test_a_trajectory_is_the_command_at_the_states_times(tmp_path: Path) -> None:
@@ -183,6 +196,18 @@ def test_dynamixel_s_registers_are_read_with_their_bits(tmp_path: Path) -> None:
     assert found.run["duty"] == pytest.approx(np.clip(run["q1_cmd_rad"] - run["q1_rad"], -1, 1), abs=0.51 / 885)
     assert found.run["volts"] == pytest.approx(np.full(len(run), 5.0))
     assert any("of a Dynamixel" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("name", ["Torque_Enable", "servo.torque_enable", "Torque Enable"])
+def test_a_register_says_whether_the_motor_is_on(name: str, tmp_path: Path) -> None:
+    run = servo_run()
+    path = dynamixel(tmp_path / "x.csv", run)
+    head, *rows = path.read_text().splitlines()
+    lines = [f"{head},{name}", *(f"{row},{int(t < 3.0)}" for row, t in zip(rows, run.time_s))]
+    path.write_text("\n".join(lines) + "\n")
+    found = guess_map(read_imported(path))
+    assert found.columns["torque_enable"].name == name
+    assert np.array_equal(found.run["torque_enable"] >= 0.99, found.run.time_s < 3.0)
 
 
 def test_degrees_in_whole_numbers_are_no_counts(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from daq.runs.csv_run import write_csv
 from experiments.cli import main
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
+from tests.evidence.servos import Hidden, draw, record
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow
@@ -102,6 +103,17 @@ def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp
     assert found["delay_s"]["value"] == pytest.approx(0.008, abs=8e-4)
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.02)
     assert values(told)[6] == pytest.approx(leg.beta()[6], abs=0.003)  # without the loop's damping
+
+
+def test_a_limit_that_few_runs_meet_is_found_and_is_as_open_as_the_damping() -> None:
+    """Two of eight runs meet it. Without the loop's damping it is larger: its interval says so, and the delay is right.
+    """
+    drawn, limit = draw(9300), 1.115
+    runs = record(drawn, 9300, Hidden("none", lambda s: ServoFaults(limit=limit)), drawn.delay_s)
+    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
+    assert found["delay_s"]["value"] == pytest.approx(drawn.late_s, abs=3e-4)  # 14.3 for 19 ms without a limit
+    low, high = found["limit"]["ci95"]
+    assert found["limit"]["found"] and low < limit < high
 
 
 def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -> None:

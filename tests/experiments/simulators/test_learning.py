@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from daq import InputError
 from experiments.cli import main
 from experiments.models import save_model
 from experiments.simulators import SIMULATORS, learning_files, reduced
@@ -81,3 +82,26 @@ def test_bam_gets_what_the_model_knows_of_a_servo(tmp_path: Path, capsys: pytest
     command = ["export", str(tmp_path / "m.json"), "--out", str(tmp_path / "rl"), "--servo"]
     assert main([*command, "mx28", "--to", "learning"]) == 2 and main([*command, "mx64", "--to", "mjcf"]) == 2
     assert "none that BAM bundles" in capsys.readouterr().err
+
+
+def test_bam_s_m5_brakes_as_the_effect_does(tmp_path: Path) -> None:
+    model = model_of(tmp_path, 1, ("directional_load_friction",))
+    found = json.loads(learning_files(model, "m.json", servo="xl330")["bam.json"])
+    (effect,) = model.effects
+    assert found["model"] == "m5" and found["friction_base"] == model.beta[8]
+    k, near, share = (*effect.sizes.values(), effect.shapes["load_share"])
+    for motor, external, rate in ((0.3, -0.2, 0.1), (0.3, 0.2, 1.0), (-0.1, 0.4, 0.02)):
+        law = (k + near * np.exp(-((rate / effect.shapes["stribeck_velocity"]) ** 2))) * abs(
+            (1.0 - share) * motor - share * external)
+        close = np.exp(-(abs(rate / found["dtheta_stribeck"]) ** found["alpha"]))
+        theirs = abs(external * found["load_friction_external"] - motor * found["load_friction_motor"]) + close * (
+            found["friction_stribeck"] + abs(external * found["load_friction_external_stribeck"]
+                                             - motor * found["load_friction_motor_stribeck"]))
+        assert theirs == pytest.approx(law, rel=1e-12)
+
+
+@pytest.mark.parametrize("other", ["stribeck_friction", "load_dependent_friction"])
+def test_what_no_m5_of_bam_holds_is_refused(other: str, tmp_path: Path) -> None:
+    model = model_of(tmp_path, 1, ("directional_load_friction", other))
+    with pytest.raises(InputError, match=f"directional_load_friction together with {other}"):
+        learning_files(model, "m.json", servo="xl330")
