@@ -60,20 +60,22 @@ def write_comparison(path: Path | str, found: ComparisonDocument, model: str = "
     """Write the page of a comparison of two models of a mechanism called `model`. Raises `InputError` where that place
     cannot be written."""
     count = len(found.runs)
-    write_result(path, found, f"{found.models[0]} (A) against {found.models[1]} (B)",
+    write_result(path, found, " against ".join(name if name == file else f"{file} ({name})"
+                                               for name, file in zip(NAMES, found.models)),
                  f"Two models of {model} on {count} run{'s' * (count != 1)}.", comparison_sections(found, table))
 
 
 def comparison_sections(found: ComparisonDocument, table: PredictionTable | None) -> list[Section]:
     """Errors, parameters, and the first run where free runs are known, all folded; the ratio of the errors leads the
     page."""
+    files = [] if found.models == NAMES else [f"A is {found.models[0]}, B is {found.models[1]}."]
     return fold(
         Section("Free-run errors over horizons",
-                [f"A is {found.models[0]}, B is {found.models[1]}. Each piece starts in the state that the model "
-                 "estimates there from all sensors, and is then driven by the measured torque alone. The error is "
-                 "simulated less measured reading. The interval of the ratio comes from its scatter between runs, or "
-                 "between pieces of 2 s if there are few runs. B is better if the interval lies below 1, A if it lies "
-                 "above."], [error_table(found)],
+                [" ".join([*files, "Each piece starts in the state that the model estimates there from all sensors. It "
+                           "is then driven by the measured torque alone. The error is simulated less measured. "
+                           "The interval of the ratio comes from its scatter between runs, or between pieces of 2 s if "
+                           "there are few runs. B is better if the interval lies below 1, A if it lies above."])],
+                [error_table(found)],
                 [Picture(ratio_plot(found.errors), "Rms error of B over that of A with 95 % intervals: below 1, B is "
                          "better.", leads=True)]),
         None if table is None else _traces(table),

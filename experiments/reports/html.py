@@ -32,8 +32,8 @@ SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%", "`": ""}
 """What a terminal may lack -> how a page has it."""
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+")
-"""What a browser would part at a hyphen, and a person types."""
+WHOLE = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+|[\d.]+e-\d+")
+"""What a browser would part at a hyphen, and a person reads or types as one."""
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -125,8 +125,8 @@ def typeset(text: str) -> str:
 
 
 def whole_options(escaped: str) -> str:
-    """Escaped text in whose lines no option, and no command of two words, is parted at a hyphen."""
-    return OPTION.sub(r'<span class="whole">\g<0></span>', escaped)
+    """Escaped text in whose lines no option, command of two words or number is parted at a hyphen."""
+    return WHOLE.sub(r'<span class="whole">\g<0></span>', escaped)
 
 
 def _prose(text: str) -> Markup:

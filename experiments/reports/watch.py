@@ -22,6 +22,7 @@ MOST_H = 1e6
 """Longer times between false alarms are not told apart."""
 LEAST = 1e-9
 """False alarms per hour below which the figure ends."""
+MOST_TICKS = 12
 
 
 def watch_text(found: WatchDocument) -> str:
@@ -71,9 +72,9 @@ def write_watch(path: Path | str, found: WatchDocument) -> None:
              *(("", "") if one.worst is None else (label_of(one.worst), often(one.worst.per_hour)))]
             for one in found.watched]
     table = Table(["run", "state", "motion [s]", "alarm after [s]", "likeliest change", "by chance"], rows, {2, 3})
-    write_result(path, found, "Watch", f"{len(rows)} runs.", [
+    write_result(path, found, "Watch", "", [
         Section("The test over the runs", (), [table],
-                [Picture(draw("watch", 2.6, lambda axes: paint_watch(axes, found)), caption)]),
+                [Picture(draw("watch", 2.6, lambda axes: paint_watch(axes, found)), caption, leads=True)]),
         *(change_sections(found.change) if found.change else ())])
 
 
@@ -89,4 +90,6 @@ def paint_watch(axes: Axes, found: WatchDocument) -> None:
     axes.axhline(threshold, color=INK, linestyle="--", linewidth=1.0, label="threshold")
     axes.set_yscale("log")
     axes.set_xlim(0.0, max(len(lines), 1))
+    step = -(-len(lines) // MOST_TICKS) or 1
+    axes.set_xticks(np.arange(0, len(lines), step) + 0.5, [str(k + 1) for k in range(0, len(lines), step)])
     finish(axes, 3, "run", "false alarms per hour")

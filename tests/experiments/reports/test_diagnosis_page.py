@@ -116,7 +116,8 @@ def test_errors_lead_where_no_run_is_drawn() -> None:
 
 
 def test_page_shows_what_was_found(page: str) -> None:
-    for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004", "&lt; 1e-6",
+    for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004",
+                  '&lt; <span class="whole">1e-6</span>',
                   "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
         assert typeset(words) in page, words
     assert page.count("<svg") == 1 + 1 + 1 + 2 + 2 + 1 + 1
