@@ -16,16 +16,14 @@ from experiments.documents import (
     finite,
 )
 from experiments.judge import Files
-from experiments.provenance import origin_of
 from experiments.reports import (
-    CAUSE_HEADER,
-    cause_rows,
+    cause_table,
     change_text,
     investigation_text,
+    line_text,
     sessions_text,
     step_text,
     watch_text,
-    worst_of,
     write_change,
     write_investigation,
     write_watch,
@@ -49,7 +47,7 @@ class Change(Shown, ChangeDocument, kw_only=True):
 
     def page(self, path: Path | str, files: Files | None = None) -> None:
         """Write the page of `legid diagnose --against --html`. Raises `InputError`."""
-        write_change(path, [self], self.provenance or origin_of(), self.damaged, files)
+        write_change(path, self, files)
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect, with the
@@ -84,11 +82,11 @@ class Sessions(Shown, SessionsDocument, kw_only=True):
     @property
     def verdict(self) -> str:
         """no_change, named, partial, one_of, changed_unexplained or fit_failed; of several pairs the gravest."""
-        return worst_of(self.pairs).verdict
+        return self.worst.verdict
 
     def page(self, path: Path | str) -> None:
         """Write the page of `legid compare --html` of sessions. Raises `InputError`."""
-        write_change(path, self.pairs, self.provenance or origin_of(), self.damaged)
+        write_change(path, self)
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """Rows as those of `Change.to_frame`; of several pairs, `from` and `to` name the sessions.
@@ -101,7 +99,7 @@ class Sessions(Shown, SessionsDocument, kw_only=True):
         """Figure as that of `Change`, of the pair with the gravest verdict. Raises `WorkError` for one that failed."""
         from legid.figures import change_figure
 
-        return change_figure(worst_of(self.pairs))
+        return change_figure(self.worst)
 
     def __str__(self) -> str:
         return sessions_text(self)
@@ -130,9 +128,8 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
 
 
 def _html(found: Differing) -> str:
-    table = html_table(CAUSE_HEADER, cause_rows(found)) if found.causes else ""
-    return paragraphs([f"{found.verdict}: {found.sentence}"]) + table + paragraphs(
-        [f"Warning: {text}" for text in found.warnings])
+    table = cause_table(found)
+    return paragraphs(found.headline.told) + (html_table(table.header, table.rows) if table.rows else "")
 
 
 class Watching(Shown, WatchDocument, kw_only=True):
@@ -148,7 +145,7 @@ class Watching(Shown, WatchDocument, kw_only=True):
 
     def page(self, path: Path | str) -> None:
         """Write the page of `legid watch --html`. Raises `InputError`."""
-        write_watch(path, self, self.provenance or origin_of())
+        write_watch(path, self)
 
     def to_frame(self) -> DataFrame:
         """One row a run: state, motion [s], end of the block with the alarm [s], likeliest change, false alarms per
@@ -174,7 +171,7 @@ class Watching(Shown, WatchDocument, kw_only=True):
         return watch_text(self)
 
     def _repr_html_(self) -> str:
-        return paragraphs(str(self).splitlines())
+        return paragraphs([*self.headline.told, *map(line_text, self.watched)])
 
 
 class Investigation(Shown, InvestigationDocument, kw_only=True):
@@ -190,7 +187,7 @@ class Investigation(Shown, InvestigationDocument, kw_only=True):
 
     def page(self, path: Path | str) -> None:
         """Write the journal as a page. Raises `InputError`."""
-        write_investigation(path, self, self.provenance or origin_of())
+        write_investigation(path, self)
 
     def to_frame(self) -> DataFrame:
         """One row a run: step, kind, plan [s], largest torque [N m], verdict after the step.
@@ -216,4 +213,4 @@ class Investigation(Shown, InvestigationDocument, kw_only=True):
         return "\n".join([*map(step_text, self.steps), investigation_text(self)])
 
     def _repr_html_(self) -> str:
-        return paragraphs(str(self).splitlines())
+        return paragraphs([*self.headline.told, *map(step_text, self.steps)])

@@ -14,7 +14,7 @@ from experiments.judge import Comparison as Found
 from experiments.judge import horizon_text
 from experiments.provenance import Origin
 from experiments.reports import comparison_text, write_comparison
-from legid.tables import Shown, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,9 +41,12 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
         return made
 
     def page(self, path: Path | str) -> None:
-        """Write the page of `legid compare --html`. Raises `InputError`, and `WorkError` for a document of a file."""
-        known: Compared = kept_with(self, "comparison", "motion; run legid.compare")
-        write_comparison(path, self, known.found.table, known.mechanism, known.runs)
+        """Write the page of `legid compare --html`; that of a document of a file has no motion. Raises `InputError`."""
+        made: Compared | None = vars(self).get("made")
+        if made is None:
+            write_comparison(path, self)
+        else:
+            write_comparison(path, self, made.mechanism, made.found.table)
 
     def to_frame(self, what: str = "errors") -> DataFrame:
         """`errors`: one row a horizon and sensor, rms errors and their ratio; `parameters`: one row a parameter.
@@ -78,5 +81,5 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
     def _repr_html_(self) -> str:
         rows = [[horizon_text(e.length_s), e.column, *("diverged" if x is None else f"{x:.3g}" for x in (e.a, e.b)),
                  e.better or ""] for e in self.errors]
-        return paragraphs([str(self.trust)]) + html_table(["horizon", "sensor", "rms error of A", "of B", "better"],
-                                                          rows)
+        return paragraphs(self.headline.told) + html_table(
+            ["horizon", "sensor", "rms error of A", "of B", "better"], rows)

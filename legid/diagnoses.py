@@ -11,13 +11,13 @@ from daq import Dataset, Rig, WorkError
 from estimator.diagnosis import Diagnosis as Details
 from experiments.documents import DiagnosisDocument, finite
 from experiments.judge import Files
-from experiments.provenance import Origin, origin_of
+from experiments.provenance import Origin
 from experiments.reports import (
     diagnosis_text,
-    error_rows,
+    error_table,
     gap_text,
     short_diagnosis_text,
-    size_rows,
+    size_table,
     write_diagnosis,
 )
 from experiments.session import Prepared
@@ -49,7 +49,7 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
     def made_from(cls, details: Details, prepared: Prepared, runs: Sequence[Dataset], rig: Rig, origin: Origin
                   ) -> Diagnosis:
         """The diagnosis of `runs`, from the files of `origin`."""
-        found = cls.of(details, prepared.set_aside, prepared.setup.datasets)
+        found = cls.of(details, prepared.set_aside, prepared.setup.datasets, prepared.setup.settings.model)
         found.__dict__["made"] = Made(details, prepared, tuple(runs), rig)
         found.provenance = origin
         return found
@@ -80,14 +80,15 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid diagnose` prints. The next step names `files`."""
-        return diagnosis_text(self.details, files)
+        return diagnosis_text(self, files)
 
     def page(self, path: Path | str, files: Files | None = None) -> None:
-        """Write the page of `legid diagnose --html`, whose next step names `files`.
+        """Write the page of `legid diagnose --html`, whose next step names `files`; that of a document of a file has
+        no curves.
 
-        Raises `InputError`, and `WorkError` for a document of a file.
+        Raises `InputError`.
         """
-        write_diagnosis(path, self.details, self.prepared, self.provenance or origin_of(), files)
+        write_diagnosis(path, self, self.details if "made" in vars(self) else None, files)
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.
@@ -123,13 +124,7 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         return short_diagnosis_text(self)
 
     def _repr_html_(self) -> str:
-        parts = [paragraphs([f"{self.verdict}: {self.sentence}"])]
-        if self.causes:
-            rows = [row for cause in self.causes for row in size_rows(cause)]
-            parts.append(html_table(["effect", "size", "value", "95 % interval", "unit"], rows))
-        if self.sensors:
-            parts.append(html_table(["free-run error (rms)", "nominal", "extended", "noise alone"],
-                                    error_rows(self.sensors)))
-        parts.append(paragraphs([text for text in (gap_text(self), *(f"Warning: {w}" for w in self.warnings),
-                                                   self.next_experiment) if text]))
-        return "".join(parts)
+        tables = [size_table(self.causes), error_table(self.sensors)]
+        return paragraphs(self.headline.told) + "".join(
+            html_table(table.header, table.rows) for table in tables if table.rows) + paragraphs(
+            [text for text in (gap_text(self), self.next_experiment) if text])

@@ -14,15 +14,7 @@ from estimator import Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
 from experiments.provenance import Origin
-from experiments.reports import (
-    PARAMETER_HEADER,
-    agreement_lines,
-    parameter_rows,
-    parameter_text,
-    samples_text,
-    whole_fit_text,
-    write_fit,
-)
+from experiments.reports import agreement_lines, parameter_table, samples_text, whole_fit_text, write_fit
 from experiments.workflows import Fitted
 from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
@@ -117,8 +109,11 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return whole_fit_text(self)
 
     def page(self, path: Path | str) -> None:
-        """Write the page of `legid fit --html`. Raises `InputError`, and `WorkError` for a document of a file."""
-        write_fit(path, self, self.estimate, self.fitted.setup.datasets)
+        """Write the page of `legid fit --html`; that of a document of a file has no motion. Raises `InputError`."""
+        if "made" in vars(self):
+            write_fit(path, self, [run.name for run in self.fitted.setup.datasets], self.estimate)
+        else:
+            write_fit(path, self, [Path(run.file).name for run in self.provenance.runs] if self.provenance else ())
 
     def to_frame(self) -> DataFrame:
         """One row a parameter: value, std, low and high of its 95 % interval, unit, meaning, whether it was given.
@@ -142,13 +137,14 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return fit_figure(self.estimate)
 
     def __str__(self) -> str:
-        return f"{self.trust}\n\n{parameter_text(self)}"
+        return f"{self.trust}\n\n{parameter_table(self).text}"
 
     def _repr_html_(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
+        table = parameter_table(self)
         notes = [f"This data does not determine {name}." for name in self.undetermined]
         notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
         notes += [f"Warning: {text}" for text in self.warnings]
         return (paragraphs([str(self.trust), f"{self.model}, {self.method}, sensors {self.sensors}, "
                             f"{samples_text(self)}: {state}."])
-                + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
+                + html_table(table.header, table.rows) + paragraphs(notes))

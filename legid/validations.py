@@ -12,12 +12,7 @@ from estimator.prediction import segments_as
 from experiments.documents import ValidationDocument, finite
 from experiments.models import Model
 from experiments.provenance import Origin
-from experiments.reports import (
-    errors_text,
-    validation_rows,
-    whole_validation_text,
-    write_validation,
-)
+from experiments.reports import segment_table, whole_validation_text, write_validation
 from experiments.workflows import ValidationReport, compared_text
 from legid.tables import Shown, frame, html_table, kept_with, paragraphs
 
@@ -102,9 +97,13 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
         return (f"{compared}\n\n" if compared else "") + whole_validation_text(self)
 
     def page(self, path: Path | str) -> None:
-        """Write the page of `legid validate --html`. Raises `InputError`, and `WorkError` for a document of a file."""
-        made = self._measured()
-        write_validation(path, self, made.report.table, made.model, made.where, made.report.prepared.setup.datasets)
+        """Write the page of `legid validate --html`; of a file, without the motion. Raises `InputError`."""
+        if "made" in vars(self):
+            made = self._measured()
+            write_validation(path, self, made.where, made.model, made.report.table)
+        else:
+            source = self.provenance.model if self.provenance else None
+            write_validation(path, self, source.file if source else "a model")
 
     def to_frame(self) -> DataFrame:
         """One row a segment: run, seconds, whether it diverged, rms error by signal.
@@ -123,7 +122,8 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
         return validation_figure(self._measured().segments)
 
     def __str__(self) -> str:
-        return f"{self.trust}\n\n{errors_text(self.runs)}"
+        return f"{self.trust}\n\n{segment_table(self.runs).text}"
 
     def _repr_html_(self) -> str:
-        return paragraphs([str(self.trust)]) + html_table(*validation_rows(self.runs))
+        table = segment_table(self.runs)
+        return paragraphs(self.headline.told) + html_table(table.header, table.rows)

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from msgspec import UNSET
 
 from experiments.calibrate import CHECK, FOUND, check_rows, found_rows, open_terms
-from experiments.documents import segment_of
+from experiments.documents import DiagnosisDocument, segment_of
 from experiments.judge import number
 from experiments.reports import (
     BLUE,
@@ -18,16 +19,16 @@ from experiments.reports import (
     Section,
     Table,
     error_bars,
-    error_rows,
+    error_table,
     gap_text,
     key_label,
     picture_lines,
-    short_tables,
+    piece_table,
+    segment_table,
     signature_limits,
     signature_plot,
-    size_rows,
+    size_table,
     trace_plot,
-    validation_rows,
     write_page,
 )
 from studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
@@ -150,16 +151,15 @@ def _fit_section(title: str, f: Fitted) -> Section:
     header = ["parameter", "published", "found", "std", "departure", "unit", "meaning"]
     shown = [k for k, name in enumerate(header) if f.task.published or name not in ("published", "departure")]
     tables = [Table([header[k] for k in shown], [[row[k] for k in shown] for row in rows],
-                    right=frozenset(i for i, k in enumerate(shown) if 1 <= k <= 4))]
+                    {i for i, k in enumerate(shown) if 1 <= k <= 4})]
     if f.task.relative_error_percent:
         tables.append(Table(["relative error", "published", "found"], [
             [f"joint {j + 1}", f"{a:.2f} %", f"{b:.2f} %"]
             for j, (a, b) in enumerate(zip(f.task.relative_error_percent, f.relative_error_percent()))],
-            right=frozenset({1, 2})))
+            {1, 2}))
     if f.validations:
-        header, lines = validation_rows([segment_of(one) for one in f.validations])
-        tables.append(Table(header, lines, "free-run simulation of runs that the fit has not seen",
-                            frozenset(range(1, len(header)))))
+        tables.append(segment_table([segment_of(one) for one in f.validations],
+                                    "free-run simulation of runs that the fit has not seen"))
     notes = [f"not determined: {name}" for name in f.result.undetermined]
     notes += [f"validation refused: {f.validation_refusal}"] if f.validation_refusal else []
     return Section(heading, [about], tables, _torque_pictures(f), notes)
@@ -189,7 +189,7 @@ def _sweep_section(title: str, w: Swept) -> Section:
              "motion shrinks as the noise in the motion grows; where the errors of the motion are estimated with it, "
              "the filter only makes the start.")
     return Section(f"{title}: bandwidth", [about],
-                   [Table(["method", "cutoff", *names], rows, right=frozenset(range(1, len(names) + 2)))])
+                   [Table(["method", "cutoff", *names], rows, range(1, len(names) + 2))])
 
 
 def _side_by_side(study: Study) -> list[Section]:
@@ -210,7 +210,7 @@ def _side_by_side(study: Study) -> list[Section]:
     header = ["parameter", "meaning", *[f.task.title for f, _ in fits]]
     return [Section(f"{study.case.title}: forms of the model side by side",
                     ["A friction term below zero would drive the joint: it stands for another form of friction."],
-                    [Table(header, rows, right=frozenset(range(2, len(header))))])]
+                    [Table(header, rows, range(2, len(header)))])]
 
 
 def _torque_pictures(f: Fitted) -> list[Picture]:
@@ -230,22 +230,20 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
     about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", f"Verdict: {_verdict_words(d)}"]
     if d.found is None:
         return Section(heading, about)
-    found = d.found
+    found, told = d.found, DiagnosisDocument.of(d.found)
     tables, pictures = [], []
     sizes = [[*row[:2], f"{d.task.published[row[1]]:.4g}" if row[1] in d.task.published else "", *row[2:]]
-             for cause in found.causes for row in size_rows(cause)]
+             for row in size_table(told.causes).rows]
     if sizes:
-        tables.append(Table(["effect", "size", "published", "found", "95 % interval", "unit"], sizes,
-                            right=frozenset({2, 3, 4})))
+        tables.append(Table(["effect", "size", "published", "found", "95 % interval", "unit"], sizes, {2, 3, 4}))
     if found.sensors:
-        rows = error_rows(found.sensors)
+        rows = [*error_table(found.sensors).rows]
         rows += [[f"residual over the torque that drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
                  for j, (b, a) in enumerate(zip(*d.residual_percent())) if np.isfinite(b)]
-        tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
-                            f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
-                            frozenset({1, 2, 3})))
+        tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows, {1, 2, 3},
+                            f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(told)}"))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
-    tables += short_tables(found.short)
+    tables += [] if told.gain.pieces is UNSET else [piece_table(told.gain.pieces)]
     limits = signature_limits(found.signatures)
     pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: the residual, "
                          "and what the effect adds.") for s in found.signatures]
@@ -273,6 +271,6 @@ def _calibration_section(title: str, c: Calibrated) -> Section:
              + ("wanders along the record." if c.found.lag_wanders else "does not wander.")]
     notes += [f"not determined: {name}" for name in open_terms(c.found)]
     return Section(f"{title}: IMU against encoder", about, [
-        Table(["term", *FOUND], found_rows(c.found), "found on the first half, 95 % intervals", frozenset({1, 2})),
-        Table(["signal", *CHECK], check_rows(c.found), "rms of IMU less encoder on the other half",
-              frozenset({1, 2, 3, 4}))], notes=notes)
+        Table(["term", *FOUND], found_rows(c.found), {1, 2}, "found on the first half, 95 % intervals"),
+        Table(["signal", *CHECK], check_rows(c.found), range(1, 5),
+              "rms of IMU less encoder on the other half")], notes=notes)

@@ -14,7 +14,7 @@ from estimator import ChangeVerdict
 from estimator.change import Change, Kind, LevelChange
 from experiments.documents.diagnosis_parts import CauseSize, Interval
 from experiments.documents.document import Damaged, Document, From, Number
-from experiments.judge import next_of_change
+from experiments.judge import CHANGES, Headline, next_of_change
 from experiments.provenance import Source
 from experiments.session import SetAside, damaged_runs
 
@@ -119,6 +119,11 @@ class Answer(Document, kw_only=True):
                                for key, why in found.not_testable for effect, _, joint in [key.partition("@")]),
             warnings=found.warnings, next_step=next_of_change(found), wall_s=found.wall_s)
 
+    @property
+    def headline(self) -> Headline:
+        """First lines: the verdict and its sentence."""
+        return Headline(*CHANGES[self.verdict], [self.sentence], self.warnings, self.next_step)
+
 
 Structure = Annotated[tuple[float, float], Meta(description="unexplained structure, in standard deviations of a size "
                                                 "estimated from one run: common to a session's runs, and of each run")]
@@ -152,6 +157,11 @@ class ChangeDocument(Answer, kw_only=True):
                         runs={"test": found.test},
                         against=Against(runs=found.reference, structure=found.structure, p_any=found.p_any,
                                         sources=tuple({"file": s.file, "sha256": s.sha256} for s in sources)))
+
+    @property
+    def pairs(self) -> tuple[ChangeDocument]:
+        """Itself, the only pair."""
+        return (self,)
 
     @property
     def sides(self) -> tuple[Session, Session]:
@@ -202,3 +212,16 @@ class SessionsDocument(Document, kw_only=True):
     def of(cls, pairs: Sequence[Pair], set_aside: Sequence[SetAside] = (), runs: Sequence[Dataset] = ()) -> Self:
         """The document of `pairs`; `runs` are all that are used."""
         return cls(pairs=tuple(pairs), set_aside=tuple(dict.fromkeys(set_aside)), damaged=tuple(damaged_runs(runs)))
+
+    @property
+    def worst(self) -> Pair:
+        """The pair that differs most."""
+        return max(self.pairs, key=lambda pair: list(CHANGES).index(pair.verdict))
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the gravest verdict, and the sentence of each pair."""
+        lines = [pair.sentence if len(self.pairs) == 1 else f"{pair.b.name} against {pair.a.name}: {pair.sentence}"
+                 for pair in self.pairs]
+        warnings = dict.fromkeys(text for pair in self.pairs for text in pair.warnings)
+        return Headline(*CHANGES[self.worst.verdict], lines, list(warnings), self.worst.next_step)

@@ -10,7 +10,7 @@ from msgspec import UNSET, Meta, Struct
 
 from daq import Dataset
 from experiments.documents.document import Damaged, Document, From, Number, known
-from experiments.judge import Comparison, Estimate, HorizonError, Trust, comparison_trust
+from experiments.judge import Comparison, Estimate, Headline, HorizonError, Trust, comparison_trust
 from experiments.session import SetAside, damaged_runs
 
 
@@ -62,6 +62,11 @@ class ComparisonDocument(Document, kw_only=True):
     set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
     damaged: Damaged = ()
     provenance: From = UNSET
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the trust in it."""
+        return self.trust.headline
 
     @classmethod
     def of(cls, found: Comparison, runs: Sequence[Dataset] = ()) -> Self:

@@ -26,12 +26,12 @@ from experiments.documents.diagnosis_parts import (
     gain_of,
     gains_of,
     learnt_of,
-    scored_of,
+    scores_of,
     split_key,
     untestable,
 )
 from experiments.documents.document import Damaged, Document, From, Number, known
-from experiments.judge import next_step
+from experiments.judge import VERDICTS, Headline, answer_words, next_step, verdict_title
 from experiments.session import SetAside, damaged_runs, faulty_readings
 
 
@@ -55,6 +55,10 @@ class Parameters(Struct, frozen=True, kw_only=True):
 
     nominal: Annotated[dict[str, Number], Meta(description="by parameter")] = field(default_factory=dict)
     extended: Annotated[dict[str, Number], Meta(description="by parameter; empty without a cause")] = field(
+        default_factory=dict)
+    nominal_std: Annotated[dict[str, Number], Meta(description="standard deviations of `nominal`")] = field(
+        default_factory=dict)
+    extended_std: Annotated[dict[str, Number], Meta(description="standard deviations of `extended`")] = field(
         default_factory=dict)
 
 
@@ -108,15 +112,20 @@ class DiagnosisDocument(Document, kw_only=True):
     wall_s: Annotated[float, Meta(description="time that the diagnosis took [s]")] = 0.0
     set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
     readings: Annotated[tuple[dict[str, object], ...], Meta(description="as in a fit")] = ()
+    model: Annotated[str, Meta(description="the mechanism's model")] = ""
+    force_unit: Annotated[str, Meta(description="as in a fit")] = "N m"
+    hold: Annotated[str, Meta(description="of torque between samples; empty if nothing was fitted")] = ""
     damaged: Damaged = ()
     provenance: From = UNSET
 
     @classmethod
-    def of(cls, found: Diagnosis, set_aside: Sequence[SetAside] = (), used: Sequence[Dataset] = ()) -> Self:
-        """The document of a diagnosis of the runs `used`."""
+    def of(cls, found: Diagnosis, set_aside: Sequence[SetAside] = (), used: Sequence[Dataset] = (), model: str = ""
+           ) -> Self:
+        """The document of a diagnosis of the runs `used` by a mechanism called `model`."""
         return cls(
+            model=model, hold=found.hold, force_unit="N m" if found.mechanism is None else found.mechanism.force_unit,
             verdict=found.verdict, sentence=found.sentence, causes=tuple(map(cause_of, found.causes)),
-            candidates=tuple(map(scored_of, found.candidates)), gain=gain_of(found), material=found.material,
+            candidates=scores_of(found.candidates), gain=gain_of(found), material=found.material,
             budget=tuple(Share(what=row.what, effect=row.effect,
                                joint=None if row.effect is None else contract_joint(row.effect, row.joint),
                                share=known(row.share), ci95=row.ci95, of_error=known(row.of_error),
@@ -134,13 +143,22 @@ class DiagnosisDocument(Document, kw_only=True):
             compared=tuple(Explanation(causes=tuple(
                 Named(effect=effect, joint=contract_joint(effect, joint)) for effect, joint in map(split_key, keys)),
                 error=known(error)) for keys, error in found.compared),
-            parameters=Parameters(nominal=dict(found.nominal), extended=dict(found.extended)),
+            parameters=Parameters(nominal=dict(found.nominal), extended=dict(found.extended),
+                                  nominal_std={name: known(std) for name, std in found.nominal_std.items()},
+                                  extended_std={name: known(std) for name, std in found.extended_std.items()}),
             not_testable=tuple(NotTestable(effect=effect, joint=contract_joint(effect, joint), why=why)
                                for effect, joint, why in untestable(found)),
             runs=Groups(**{group: tuple(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")}),
             warnings=found.warnings, next_experiment=found.next_experiment, next_step=next_step(found),
             wall_s=found.wall_s, set_aside=tuple(set_aside), readings=tuple(faulty_readings(used)),
             damaged=tuple(damaged_runs(used)))
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the verdict, its sentence and its probability."""
+        return Headline(VERDICTS[self.verdict][0], verdict_title(self.verdict),
+                        [*([self.sentence] if self.sentence else []),
+                         *answer_words(self.probability, self.probability_in_library)], self.warnings, self.next_step)
 
     @property
     def sensors(self) -> dict[str, SensorGain]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Annotated
 
@@ -65,6 +66,7 @@ class Scored(Struct, frozen=True, kw_only=True):
     size: Annotated[Number, Meta(description="one-step estimate of its first size")]
     smallest_detectable: Annotated[Number, Meta(description="size; null: these runs cannot test it")]
     unit: Annotated[str, Meta(description="of both")]
+    motor: Annotated[int | UnsetType, Meta(description="joint of a rotor's motor, if several are tested")] = UNSET
 
 
 class Errors(Struct, frozen=True, kw_only=True):
@@ -190,11 +192,13 @@ def cause_of(cause: PlainCause) -> NamedCause:
         p_value=cause.p_value, confusable_with=tuple(near))
 
 
-def scored_of(candidate: CandidateScore) -> Scored:
-    """The entry of one candidate."""
-    return Scored(effect=candidate.effect, joint=contract_joint(candidate.effect, candidate.joint),
-                  score=candidate.score, p_value=candidate.p_value, size=known(candidate.size),
-                  smallest_detectable=known(candidate.smallest_detectable), unit=candidate.unit)
+def scores_of(candidates: Sequence[CandidateScore]) -> tuple[Scored, ...]:
+    """One entry a candidate."""
+    tested = Counter(one.effect for one in candidates if one.effect in WHOLE_RIG)
+    return tuple(Scored(effect=one.effect, joint=contract_joint(one.effect, one.joint), score=one.score,
+                        p_value=one.p_value, size=known(one.size), smallest_detectable=known(one.smallest_detectable),
+                        unit=one.unit, motor=one.joint if tested[one.effect] > 1 and one.joint else UNSET)
+                 for one in candidates)
 
 
 def errors_of(sensors: Mapping[str, SensorGain]) -> dict[str, Errors]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -26,6 +27,7 @@ from experiments.documents.fit_parts import (
 )
 from experiments.documents.tuning import Entry
 from experiments.judge import (
+    Headline,
     Trust,
     check_fit,
     faults_of,
@@ -170,6 +172,11 @@ class FitDocument(Document, kw_only=True):
     chosen: Annotated[tuple[Entry, ...], Meta(description="entries that the records chose")] = ()
     damaged: Damaged = ()
     provenance: From = UNSET
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the trust in it."""
+        return replace(self.trust.headline, warnings=self.warnings)
 
     @classmethod
     def of(cls, result: FitResult, settings: MechanismSettings, runs: Sequence[Dataset] = (),

@@ -12,7 +12,7 @@ from estimator import Verdict
 from estimator.diagnosis import Diagnosis
 from experiments.documents.diagnosis_parts import Before, Named, contract_joint, split_key
 from experiments.documents.document import Document, From, Number
-from experiments.judge import Ending, Investigation
+from experiments.judge import VERDICTS, Ending, Headline, Investigation, verdict_title
 from experiments.judge import Experiment as FoundExperiment
 from experiments.judge import Step as FoundStep
 
@@ -111,6 +111,15 @@ class InvestigationDocument(Document, kw_only=True):
         return cls(ending=done.ending, why=done.why, next_step=done.next_step, answer=Belief.of(done.found),
                    diagnosed=done.diagnosed, budget_s=done.budget_s, wall_s=done.wall_s,
                    steps=tuple(Step.of(step, before) for step, before in zip(done.steps, beliefs)))
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the last answer, and why it ended."""
+        found = self.answer
+        return Headline("bad" if found is None else VERDICTS[found.verdict][0],
+                        verdict_title(None if found is None else found.verdict),
+                        ["No diagnosis yet." if found is None else found.sentence, self.why],
+                        () if found is None else found.warnings, self.next_step)
 
     @property
     def runs(self) -> tuple[str, ...]:

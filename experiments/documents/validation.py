@@ -11,7 +11,7 @@ from msgspec import UNSET, Meta, Struct, UnsetType
 from estimator.prediction import SHORT_S, PredictionTable, Validation, WalkAhead, validations_of
 from experiments.documents.document import Damaged, Document, From, Number
 from experiments.documents.walk import Walk
-from experiments.judge import Trust, fits_of
+from experiments.judge import Headline, Trust, fits_of
 from experiments.session import Prepared, SetAside, damaged_runs, faulty_readings
 
 ByColumn = dict[str, Number]
@@ -76,6 +76,11 @@ class ValidationDocument(Document, kw_only=True):
     simulator: Annotated[str | UnsetType, Meta(description="absent: legid's")] = UNSET
     damaged: Damaged = ()
     provenance: From = UNSET
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: the trust in it."""
+        return self.trust.headline
 
     @classmethod
     def of(cls, table: PredictionTable, trust: Trust, prepared: Prepared, seen: Sequence[str] = (),

@@ -13,6 +13,7 @@ from estimator.change import Change
 from estimator.change import WatchedRun as FoundRun
 from experiments.documents.change import ChangeDocument
 from experiments.documents.document import Document, From
+from experiments.judge import Headline
 from experiments.provenance import Source
 
 State = Literal["ok", "alarm", "changed", "not tested"]
@@ -84,3 +85,25 @@ class WatchDocument(Document, kw_only=True):
         """The document of no run yet."""
         return cls(false_alarms_per_hour=false_alarms, watched=[], reference=Reference(
             runs=tuple(reference), sources=tuple({"file": s.file, "sha256": s.sha256} for s in sources)))
+
+    @property
+    def summary(self) -> str:
+        """Sentence over all runs."""
+        tested = [one for one in self.watched if not one.failed]
+        alarms = [one.run for one in tested if one.alarm is not None]
+        hours = sum(one.seconds for one in tested) / 3600.0
+        return (f"{len(tested)} runs, {hours:.2g} h of motion, at most {self.false_alarms_per_hour:g} false alarms an "
+                f"hour: {f'{len(alarms)} with an alarm, first {alarms[0]}' if alarms else 'no alarm'}")
+
+    @property
+    def change(self) -> ChangeDocument | None:
+        """The last one that was named."""
+        return next((one.change for one in reversed(self.watched) if one.change is not None), None)
+
+    @property
+    def headline(self) -> Headline:
+        """First lines: whether there is an alarm, over which runs, and what changed."""
+        alarm = any(one.alarm for one in self.watched)
+        return Headline("bad" if alarm else "good", "The rig changed" if alarm else "No alarm",
+                        [self.summary, *([self.change.sentence] if self.change else [])],
+                        [f"{one.run} was not tested: {one.failed}" for one in self.watched if one.failed])

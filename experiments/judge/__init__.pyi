@@ -22,6 +22,12 @@ from .found_model import diagnosed_model as diagnosed_model
 from .found_model import faults_of as faults_of
 from .found_model import model_of as model_of
 from .friction_form import friction_shares as friction_shares
+from .headline import CHANGES as CHANGES
+from .headline import VERDICTS as VERDICTS
+from .headline import Headline as Headline
+from .headline import Level as Level
+from .headline import answer_words as answer_words
+from .headline import verdict_title as verdict_title
 from .investigation import Ending as Ending
 from .investigation import Experiment as Experiment
 from .investigation import Investigation as Investigation
@@ -44,7 +50,6 @@ from .residuals import friction_level as friction_level
 from .residuals import open_torque as open_torque
 from .residuals import residual_tests as residual_tests
 from .residuals import torque_fit as torque_fit
-from .trust import Level as Level
 from .trust import Trust as Trust
 from .trust import fit_trust as fit_trust
 from .trust import fits_of as fits_of

@@ -93,7 +93,7 @@ def comparison_trust(found: Comparison) -> Trust:
         return Trust("caution", "NOT DECIDED: these runs are too short for an interval; record ten seconds or more. "
                      f"The error of B is smaller at {smaller} of {total} sensors and horizons.", reasons)
     if wins["A"] and wins["B"]:
-        parts = " and ".join(f"{name} ({files[name]}) at {_places(wins[name])}" for name in NAMES)
+        parts = " and ".join(f"{name}{_of(files[name], name)} at {_places(wins[name])}" for name in NAMES)
         return Trust("caution", f"NEITHER is better throughout: {parts}.", reasons)
     for name in NAMES:
         if wins[name]:
@@ -102,11 +102,16 @@ def comparison_trust(found: Comparison) -> Trust:
                 "" if best.ci95 is None else f" [{best.ci95[0]:.2g}, {best.ci95[1]:.2g}]") if math.isfinite(
                     _ratio(best)) else "one of them diverged"
             return Trust("caution" if found.flags else "good",
-                         f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons, the "
-                         f"other at no more than chance allows. Largest difference: {_place(best)}, rms error of "
-                         f"B over A {told}.", reasons)
+                         f"{name} IS BETTER{_of(files[name], name)}: at {len(wins[name])} of {total} sensors and "
+                         f"horizons, the other at no more than chance allows. Largest difference: {_place(best)}, rms "
+                         f"error of B over A {told}.", reasons)
     return Trust("caution", f"NEITHER is better: over {total} sensors and horizons, no more differences are "
                  "significant than chance allows.", reasons)
+
+
+def _of(file: str, name: str) -> str:
+    """The file of a model, unless it is called by its letter alone."""
+    return "" if file == name else f" ({file})"
 
 
 def _ratio(error: HorizonError) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -18,10 +18,9 @@ from estimator.prediction import SHORT_S, PredictionTable
 from experiments.judge.agreement import units
 from experiments.judge.budget import precision
 from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
+from experiments.judge.headline import Headline, Level
 from experiments.models import MechanismSettings, TrustValues
 
-Level = Literal["good", "caution", "bad"]
-"""How far an answer can be relied on."""
 HEADLINE = 130
 """Most letters of a box's title; of a longer sentence it is the part before the colon."""
 NAMED = 2
@@ -52,10 +51,15 @@ class Trust(Struct, frozen=True):
         return {"level": self.level, "sentence": self.sentence, "reasons": list(self.reasons)}
 
     @property
-    def headline(self) -> tuple[str, list[str]]:
-        """Title and lines of a box: of a long sentence the part before its colon, and the rest before the reasons."""
+    def headline(self) -> Headline:
+        """Its title is the part of a long sentence before the colon; the rest comes before the reasons."""
         title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
-        return title, [*([_line(rest).removesuffix(".")] if rest else []), *self.reasons]
+        return Headline(self.level, title, [*([_line(rest).removesuffix(".")] if rest else []), *self.reasons])
+
+    @property
+    def text(self) -> str:
+        """The sentence and its reasons, one a line."""
+        return "\n".join([self.sentence, *self.reasons])
 
 
 def fit_trust(result: FitResult) -> Trust:

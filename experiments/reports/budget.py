@@ -18,11 +18,10 @@ if TYPE_CHECKING:
 BARS = 5
 """Sources with a colour of their own in a bar."""
 COLOURS = (ORANGE, GREEN, INK, "#c9a227", "#8a5fb0")
-HEADER = ["parameter", "value", "+- (95 %)", "largest parts, each alone"]
 
 
-def budget_rows(fit: FitDocument) -> list[list[str]]:
-    """One row of HEADER for each estimated parameter."""
+def budget_table(fit: FitDocument) -> Table:
+    """One row for each estimated parameter."""
     values, rows = {p.name: p for p in fit.parameters}, []
     for row in fit.budget or ():
         p = values[row.parameter]
@@ -33,7 +32,7 @@ def budget_rows(fit: FitDocument) -> list[list[str]]:
         alone = [(part.source, half / std * finite(part.std)) for part in row.parts]
         parts = [f"{source_words(source)} {number(part, std)}" for source, part in alone if part > LEAST_PART * half]
         rows.append([p.name, number(finite(p.value), std), number(half, std), ", ".join(parts[: PARTS_TOLD + 1])])
-    return rows
+    return Table(["parameter", "value", "+- (95 %)", "largest parts, each alone"], rows, {1, 2})
 
 
 def budget_lines(fit: FitDocument) -> list[str]:
@@ -48,16 +47,16 @@ def budget_lines(fit: FitDocument) -> list[str]:
     return lines
 
 
-def budget_section(fit: FitDocument) -> list[Section]:
-    """For the page: a bar for each parameter; empty without a budget."""
-    rows = budget_rows(fit)
-    if not rows:
-        return []
+def budget_section(fit: FitDocument) -> Section | None:
+    """For the page: a bar for each parameter; None without a budget."""
+    table = budget_table(fit)
+    if not table.rows:
+        return None
     text = ["Each bar is the variance of a parameter, as the sum of its parts. Noise and scatter between runs come "
             "from the runs. All else are tolerances, which rig.toml states under [tolerance], or which have a default.",
             *(f"{line[:1].upper()}{line[1:]}." for line in budget_lines(fit))]
-    return [Section("What the intervals consist of", text, [Table(HEADER, rows, right=frozenset({1, 2}))],
-                    [Picture(_bars(fit), "Share of each source in the variance of each parameter.")])]
+    return Section("What the intervals consist of", text, [table],
+                   [Picture(_bars(fit), "Share of each source in the variance of each parameter.")])
 
 
 def _bars(fit: FitDocument) -> str:

@@ -1,55 +1,68 @@
-"""A change of a rig, or the differences of sessions, for a terminal."""
+"""A change of a rig, or the differences of sessions, as text and page: the answer, how much by effect, what would have
+shown."""
 
 from __future__ import annotations
 
-from experiments.console import text_table
-from experiments.documents import Answer, Candidate, Cause, Differing, SessionsDocument, finite
-from experiments.judge import Files, with_names
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-CAUSE_HEADER = ["effect", "a change of", "size", "value", "95 % interval", "unit"]
-DETECTABLE_HEADER = ["effect", "size", "smallest change", "unit"]
+import numpy as np
+
+from experiments.documents import Answer, Candidate, Cause, ChangeDocument, Differing, SessionsDocument, finite
+from experiments.judge import Files, with_names
+from experiments.reports.diagnosis_figures import ROW_IN, draw
+from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
+from experiments.reports.html import Picture, Section, Table, fold
+from experiments.reports.origin import write_result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 SHOWN = 12
 """Smallest changes that a terminal shows; the JSON has all."""
+DRAWN = 14
+"""Effects in the figure, the likeliest first."""
 
 
 def change_text(found: Differing, files: Files | None = None) -> str:
     """Text after `legid diagnose --against` and `legid compare`: the verdict first. The next step names `files`."""
-    blocks = [found.sentence]
-    first, second = found.sides
+    head, (first, second) = found.headline, found.sides
+    blocks = [*head.lines]
     if found.causes:
-        blocks.append(f"From {first.name} to {second.name}:\n" + text_table(CAUSE_HEADER, cause_rows(found), {3, 4}))
-    blocks += held_out_text(found)
-    blocks += free_runs_text(found)
+        blocks.append(f"From {first.name} to {second.name}:\n" + cause_table(found).text)
+    blocks += [*held_out_text(found), *free_runs_text(found)]
     if found.candidates:
-        rows = detectable_rows(found)[:SHOWN]
-        blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
-                      f"{len(rows)} of {len(found.candidates)}):\n" + text_table(DETECTABLE_HEADER, rows, {2}))
-        blocks.append(structure_text(found))
-    blocks.append(f"Next step: {with_names(found.next_step, files)}")
-    blocks += [f"warning: {text}" for text in found.warnings]
-    blocks.append(f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)")
+        table = detectable_table(found, SHOWN)
+        blocks += ["Smallest change that these runs would have shown with 80 % probability (the likeliest "
+                   f"{len(table.rows)} of {len(found.candidates)}):\n{table.text}", structure_text(found)]
+    blocks += [f"Next step: {with_names(head.action, files)}", *(f"warning: {text}" for text in head.warnings),
+               f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)"]
     return "\n\n".join(blocks)
 
 
 def sessions_text(found: SessionsDocument) -> str:
-    """Text of a single pair; of several pairs a table with one row a pair."""
+    """Text of a single pair; of several pairs the gravest verdict, and a table with one row a pair."""
     if len(found.pairs) == 1:
         return change_text(found.pairs[0])
-    return text_table(["from", "to", "verdict", "difference"],
-                      [[pair.a.name, pair.b.name, pair.verdict, pair.sentence] for pair in found.pairs], set())
+    rows = [[pair.a.name, pair.b.name, pair.verdict, pair.sentence] for pair in found.pairs]
+    return f"{found.headline.title}\n\n{Table(['from', 'to', 'verdict', 'difference'], rows).text}"
 
 
-def cause_rows(found: Answer) -> list[list[str]]:
+def cause_table(found: Answer) -> Table:
     """One row a size of a cause."""
-    return [[label(c) if not k else "", c.kind if not k else "", s.name, f"{s.value:.4g}",
-             " .. ".join(f"{finite(x):.4g}" for x in s.ci95), s.unit] for c in found.causes
-            for k, s in enumerate(c.size)]
+    return Table(["effect", "a change of", "size", "value", "95 % interval", "unit"], [
+        [label(c) if not k else "", c.kind if not k else "", s.name, f"{s.value:.4g}",
+         " .. ".join(f"{finite(x):.4g}" for x in s.ci95), s.unit] for c in found.causes
+        for k, s in enumerate(c.size)], {3, 4})
 
 
-def detectable_rows(found: Answer) -> list[list[str]]:
-    """One row an effect, the likeliest first."""
-    return [[label(d), d.size_name, "none" if d.smallest_detectable is None else f"{d.smallest_detectable:.2g}", d.unit]
-            for d in found.candidates]
+def detectable_table(found: Answer, most: int | None = None) -> Table:
+    """One row an effect, the likeliest first, at most so many."""
+    return Table(["effect", "size", "smallest change", "unit"], [
+        [label(d), d.size_name, "none" if d.smallest_detectable is None else f"{d.smallest_detectable:.2g}", d.unit]
+        for d in found.candidates[:most]], {2})
 
 
 def held_out_text(found: Answer) -> list[str]:
@@ -81,3 +94,76 @@ def label(one: Cause | Candidate) -> str:
     """The effect and where it is."""
     where = "link" if one.effect == "payload" else "joint"
     return one.effect if one.joint is None else f"{one.effect}, {where} {one.joint}"
+
+
+def write_change(path: Path | str, found: ChangeDocument | SessionsDocument, files: Files | None = None) -> None:
+    """Write the page; its next step names `files`. Raises `InputError` where that place cannot be written."""
+    pairs = found.pairs
+    first, others = pairs[0].sides[0], [pair.sides[1] for pair in pairs]
+    write_result(path, found, f"From {first.name} to {', '.join(other.name for other in others)}",
+                 f"{len(first.runs) + sum(len(other.runs) for other in others)} runs.",
+                 [section for pair in pairs for section in change_sections(pair, len(pairs) > 1)], files)
+
+
+def change_sections(found: Differing, several: bool = False) -> list[Section]:
+    """Causes with the figure, noise, smallest changes, what cannot be tested, runs."""
+    a, b = (side.name for side in found.sides)
+    head = f"{b}: " if several else ""
+    caption = ("Estimated change of each effect, all else unchanged, over the smallest detectable change: what these "
+               "runs would have shown with 80 % probability. Bars are 95 % intervals.")
+    pictures = [Picture(change_plot(found, f"{a} {b}"), caption, leads=not several)] if drawn_changes(found) else []
+    noise = [[n.column, f"{n.ratio:.3g}", " .. ".join(f"{finite(x):.3g}" for x in n.ci95), f"{n.p_value:.2g}"]
+             for n in found.noise]
+    untested = [[one.effect if one.joint is None else f"{one.effect}, joint {one.joint}", one.why]
+                for one in found.not_testable]
+    more = fold(
+        Section("Noise", [f"Noise level of {b} over that of {a}, from neighbouring samples. p is over all columns."],
+                [Table(["column", "ratio", "95 % interval", "p"], noise, {1, 2, 3})]) if noise else None,
+        Section("Smallest changes that would have shown", [structure_text(found)], [detectable_table(found)]
+                ) if found.candidates else None,
+        Section("What cannot be tested here", tables=[Table(["effect", "why"], untested)]) if untested else None,
+        Section("Runs", tables=[Table(["session", "runs"], [[s.name, ", ".join(s.runs)] for s in found.sides])]))
+    return [Section(f"From {a} to {b}", [found.sentence] if several else [],
+                    [cause_table(found)] if found.causes else [], pictures,
+                    [*held_out_text(found), *free_runs_text(found)]),
+            *(replace(s, title=head + s.title) for s in more)]
+
+
+def drawn_changes(found: Answer) -> list[Candidate]:
+    """Those that the figure has."""
+    return [d for d in found.candidates if d.smallest_detectable][:DRAWN]
+
+
+def change_plot(found: Answer, name: str) -> str:
+    """The likeliest changes with intervals, in units of the smallest change that would have shown; `name` is that of
+    the pair."""
+    some = drawn_changes(found)
+
+    def paint(axes: Axes) -> None:
+        paint_changes(axes, some)
+        finish(axes, 1, "change over\nsmallest detectable change", "")  # long names leave the axes narrow
+
+    return draw(f"change {name}", 1.05 + ROW_IN * len(some), paint)
+
+
+def paint_changes(axes: Axes, some: Sequence[Candidate]) -> None:
+    """A row each, its interval as a bar."""
+    rows = np.arange(len(some), dtype=float)
+    share, low, high = np.array([(d.change, *map(finite, d.ci95 or (None, None))) for d in some]).T / np.array(
+        [finite(d.smallest_detectable) for d in some])
+    axes.axvline(0.0, color=INK, linewidth=0.6)
+    for side in (-1.0, 1.0):
+        axes.axvline(side, color=GREY, linestyle="--", linewidth=1.0,
+                     label="smallest detectable" if side > 0.0 else None)
+    beyond = np.abs(share) > 1.0
+    axes.errorbar(share, rows, xerr=[share - low, high - share], fmt="none", ecolor=GREY, elinewidth=1.4, zorder=2)
+    axes.scatter(share, rows, s=20.0, c=[ORANGE if far else BLUE for far in beyond], zorder=3)
+    for colour, what in ((BLUE, "change"), (ORANGE, "larger change")):
+        axes.scatter([], [], s=20.0, c=colour, label=what)
+    if np.abs(share).max(initial=0.0) > 5.0:
+        axes.set_xscale("symlog", linthresh=1.0)
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_yticks(rows, [f"{label(d)}{f' {d.size_name}' if d.effect == 'parameter' else ''}".replace("_", " ")
+                           for d in some])
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")

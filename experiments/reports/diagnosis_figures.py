@@ -9,7 +9,8 @@ import numpy as np
 
 from daq import FloatArray
 from estimator import TWO_SIDED
-from estimator.diagnosis import BudgetRow, SensorGain, Signature, Trace
+from estimator.diagnosis import SensorGain, Signature, Trace
+from experiments.documents import Share, finite
 from experiments.reports.chart import Chart, Line
 from experiments.reports.figures import (
     BLUE,
@@ -66,7 +67,7 @@ def error_bars(sensors: Mapping[str, SensorGain]) -> str:
     return draw("errors", 0.9 + 0.75 * len(names), paint)
 
 
-def waterfall(budget: Sequence[BudgetRow]) -> str:
+def waterfall(budget: Sequence[Share]) -> str:
     """Bars from the nominal model's error to noise alone: each part where the one above it ends, with its interval."""
     names = {"nominal": "nominal model", "remainder": "residual", "noise": "noise alone"}
     colours = {"nominal": BLUE, "cause": GREEN, "remainder": ORANGE, "noise": GREY}
@@ -74,14 +75,15 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
     def paint(axes: Axes) -> None:
         top = 1.0
         for k, row in enumerate(budget):
-            begin = 0.0 if row.what == "nominal" else top - row.of_error
-            axes.barh(k, 100.0 * row.of_error, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
-            right = begin + row.of_error
+            share = finite(row.of_error)
+            begin = 0.0 if row.what == "nominal" else top - share
+            axes.barh(k, 100.0 * share, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
+            right = begin + share
             if row.what != "nominal":
-                low, high = (right - c for c in row.of_error_ci95)
+                low, high = (right - finite(c) for c in row.of_error_ci95)
                 axes.plot([100.0 * low, 100.0 * high], [k, k], color=INK, linewidth=1.5, zorder=3)
                 right, top = max(right, low, high), begin
-            axes.annotate(f"{100 * row.of_error:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
+            axes.annotate(f"{100 * share:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
                           textcoords="offset points")
         axes.set_yticks(range(len(budget)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
                                              (f" at joint {r.joint}" if r.joint else "") for r in budget])

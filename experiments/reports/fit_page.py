@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import FloatArray
 from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument
@@ -22,20 +22,18 @@ from experiments.judge import (
     residual_tests,
     torque_fit,
 )
-from experiments.provenance import origin_of
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
-from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
+from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points
 from experiments.reports.fit_text import (
-    PARAMETER_HEADER,
     VOLTS,
     noise_rows,
-    parameter_rows,
+    parameter_table,
     run_noise_lines,
     samples_text,
 )
-from experiments.reports.html import Picture, Section, Table, fold, trust_box, write_page
-from experiments.reports.origin import origin_section
+from experiments.reports.html import Picture, Section, Table, fold
+from experiments.reports.origin import write_result
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
@@ -68,23 +66,23 @@ def _sensors(fit: FitDocument) -> str:
     return f"{sensors} and torque" if fit.driven else sensors.replace(", ", " and ")
 
 
-def write_fit(path: Path | str, fit: FitDocument, result: FitResult, runs: Sequence[Dataset]) -> None:
-    """Write the page of a fit to `runs`: its document, and the motion of `result`. Raises `InputError` where that place
-    cannot be written."""
-    origin = fit.provenance or origin_of()
-    write_page(path, f"Fit of {fit.model}: {', '.join(run.name for run in runs)}", fit_summary(fit),
-               [*fit_sections(fit, result), origin_section(origin, runs)], origin, trust_box(fit.trust, fit.warnings))
+def write_fit(path: Path | str, fit: FitDocument, runs: Sequence[str], result: FitResult | None = None) -> None:
+    """Write the page of a fit to `runs`: its document, and the motion of `result` where that is known.
+
+    Raises `InputError` where that place cannot be written.
+    """
+    write_result(path, fit, f"Fit of {fit.model}: {', '.join(runs)}", fit_summary(fit), fit_sections(fit, result))
 
 
-def fit_sections(fit: FitDocument, result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
+def fit_sections(fit: FitDocument, result: FitResult | None, benchmark: FitResult | None = None) -> list[Section]:
     """Everything that a fit alone can show. `benchmark` is a second model for the torques.
 
     The parameters stand open, the rest is folded; the torque of the last joint with a motor leads the page.
     """
-    return [_parameters(fit, result), *fold([
-        *budget_section(fit), *knowledge_section(fit), *agreement_section(fit), *opinion_section(fit),
-        *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(fit),
-        _limits(fit)])]
+    drawn = [] if result is None else [_sensors_section(result), _torques(result, benchmark), _residuals(result)]
+    return [_parameters(fit, result), *fold(
+        budget_section(fit), knowledge_section(fit), agreement_section(fit), opinion_section(fit), *drawn, _noise(fit),
+        _limits(fit))]
 
 
 def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Mapping[str, float]) -> Section:
@@ -99,31 +97,27 @@ def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Ma
         "Against the truth",
         [f"The rig was emulated, so its parameters are known: {inside} of {len(rows)} lie inside their 95 % intervals. "
          "The plant computes its motion from masses and lengths and shares no code with the estimator."],
-        [Table(["parameter", "truth", "found", "95 % interval", "inside", "unit", "meaning"], rows,
-               right=frozenset({1, 2, 3}))], folded=True)
+        [Table(["parameter", "truth", "found", "95 % interval", "inside", "unit", "meaning"], rows, {1, 2, 3})],
+        folded=True)
 
 
-def _parameters(fit: FitDocument, result: FitResult) -> Section:
+def _parameters(fit: FitDocument, result: FitResult | None) -> Section:
     """With the mechanism in the run that the figures show."""
-    found = _first(result)
-    sketch = [] if found is None else sketch_pictures(result.mechanism, found[0].q, found[0].time_s, found[0].run)
-    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(fit), right=frozenset({1, 2, 3}))],
-                   sketch)
+    path = _first(result)
+    sketch = [] if path is None or result is None else sketch_pictures(result.mechanism, path.q, path.time_s, path.run)
+    return Section("Parameters", [], [parameter_table(fit)], sketch)
 
 
-def _first(result: FitResult) -> tuple[Trajectory, slice] | None:
-    if not result.trajectories:
-        return None
-    longest = max(result.trajectories, key=lambda t: t.time_s.shape[0])
-    return longest, window(longest.time_s, FIGURE_SECONDS)
+def _first(result: FitResult | None) -> Trajectory | None:
+    """The longest motion; None without any."""
+    return max(result.trajectories if result else (), key=lambda t: t.time_s.shape[0], default=None)
 
 
-def _sensors_section(result: FitResult) -> list[Section]:
+def _sensors_section(result: FitResult) -> Section | None:
     """What the sensors said, and what they should have said along the estimated motion."""
-    found = _first(result)
-    if found is None:
-        return []
-    path, _ = found
+    path = _first(result)
+    if path is None:
+        return None
     pictures = []
     for column, measured in path.measured.items():
         if column not in path.predicted or not column.startswith(("gyro", "accel", "q")):
@@ -138,18 +132,16 @@ def _sensors_section(result: FitResult) -> list[Section]:
         pictures.append(picture_lines(path.time_s, lines, label,
                                       f"{name[0].upper()}{name[1:]}, measured and as estimated. Rms difference over "
                                       f"the whole run: {rms:.3g} {unit}; fit {share:.1f} %.", FIGURE_SECONDS))
-    if not pictures:
-        return []
     title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
-    return [Section(f"{title}, measured against the estimate", [f"Run {path.run}."], pictures=pictures)]
+    return Section(f"{title}, measured against the estimate", [f"Run {path.run}."], pictures=pictures
+                   ) if pictures else None
 
 
-def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
+def _torques(result: FitResult, benchmark: FitResult | None) -> Section | None:
     """Measured torque against the model's; the pivot's must be zero."""
-    found = _first(result)
-    if found is None:
-        return []
-    path, _ = found
+    path = _first(result)
+    if path is None:
+        return None
     other = _match(benchmark, path)
     pictures = []
     force = result.mechanism.force_unit
@@ -170,7 +162,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
                                       y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
-    return [Section("Torques", [f"Run {path.run}."], pictures=pictures)]
+    return Section("Torques", [f"Run {path.run}."], pictures=pictures)
 
 
 def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
@@ -210,26 +202,25 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
     return None
 
 
-def _residuals(result: FitResult) -> list[Section]:
+def _residuals(result: FitResult) -> Section | None:
     """MATLAB's `resid`: is the residual white and independent of the input?"""
     auto, cross = residual_tests(result)
     if not auto:
-        return []
+        return None
     rows = [[c.what, f"{100 * c.outside:.0f} %", f"{c.largest:.2f}", f"{c.band:.3f}"] for c in (*auto, *cross)]
     force = [c for c in auto if any(c.what == f"torque {j + 1}" for j in result.mechanism.actuated)]
     pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}, less what a right model "
                              "leaves; the band holds 99 % of that.") for c in (force or auto)]
     pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
                               "holds 99 % of it if they are independent.") for c in _leading(cross)]
-    return [Section(
+    return Section(
         "Residuals: white, and independent of the input?",
         [f"Measured less estimated, at lags up to {RESIDUAL_LAGS} samples. One lag in a hundred lies outside its "
          "99 % band by chance. The motion is estimated from the same sensors, which colours residuals: of a driven "
          "joint's torque what a right model leaves is taken off. What counts is that torque, and a sensor beyond four "
          "lags: a large correlation there is something that the model lacks. The equation of a passive joint has no "
          "sensor of its own, and its residual follows its neighbours'."],
-        [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, right=frozenset({1, 2, 3}))],
-        pictures)]
+        [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, {1, 2, 3})], pictures)
 
 
 def _leading(cross: Sequence[Correlation]) -> Sequence[Correlation]:
@@ -246,7 +237,7 @@ def _noise(fit: FitDocument) -> Section:
     if not rows:
         return Section("Noise levels", [f"{fit.method} neither uses nor estimates any."])
     return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
-                   [Table(["channel", "1 sigma", "unit"], rows, right=frozenset({1}))],
+                   [Table(["channel", "1 sigma", "unit"], rows, {1})],
                    notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(fit)])
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import re
 
-from experiments.console import text_table
 from experiments.documents import FitDocument, finite
 from experiments.judge import number
 from experiments.reports.budget import budget_lines
-from experiments.reports.prior_knowledge import HEADER as PRIOR_HEADER
-from experiments.reports.prior_knowledge import prior_rows, prior_sentence
+from experiments.reports.html import Table
+from experiments.reports.prior_knowledge import prior_sentence, prior_table
 from experiments.reports.run_agreement import agreement_lines
 from experiments.reports.second_opinion import opinion_lines
 
 
-def parameter_rows(fit: FitDocument) -> list[list[str]]:
-    """name, value, std, 95 % interval, unit, meaning of every parameter."""
+def parameter_table(fit: FitDocument) -> Table:
+    """One row a parameter."""
     rows = []
     for p in fit.parameters:
         if p.value is None:
@@ -32,13 +31,12 @@ def parameter_rows(fit: FitDocument) -> list[list[str]]:
         else:
             spread, interval = "none", "not determined"
         rows.append([p.name, number(p.value, std), spread, interval, p.unit, p.meaning])
-    return rows
+    return Table(["parameter", "value", "std", "95 % interval", "unit", "meaning"], rows, {1, 2, 3})
 
 
 OF_THE_FIRST_LINE = ("not_converged", "undetermined")
 """Kinds of faults that the first line says in full."""
 VOLTS = "The input is a voltage: every parameter is in volt units."
-PARAMETER_HEADER = ["parameter", "value", "std", "95 % interval", "unit", "meaning"]
 NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps2": "accelerometer x",
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
@@ -103,11 +101,6 @@ def friction_lines(fit: FitDocument) -> list[str]:
             "the rest; legid diagnose tells whether another form is missing" for one in fit.friction]
 
 
-def parameter_text(fit: FitDocument) -> str:
-    """The table of the parameters."""
-    return text_table(PARAMETER_HEADER, parameter_rows(fit), right={1, 2, 3})
-
-
 def samples_text(fit: FitDocument) -> str:
     """Number of samples used, as text, page and notebook have it."""
     return f"{fit.samples} of {fit.recorded} samples" if fit.recorded > fit.samples else f"{fit.samples} samples"
@@ -119,7 +112,7 @@ def fit_text(fit: FitDocument) -> str:
              f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
              f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
              + ("converged" if fit.converged else "NOT CONVERGED"), "",
-             parameter_text(fit), ""]
+             parameter_table(fit).text, ""]
     if fit.noise:
         lines.append("noise (1 sigma): " + ", ".join(
             f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(fit)))
@@ -129,7 +122,7 @@ def fit_text(fit: FitDocument) -> str:
     if fit.force_unit == "V":
         lines.append(VOLTS)
     if fit.prior:
-        lines += ["", text_table(PRIOR_HEADER, prior_rows(fit), right={1, 2, 3, 4}), ""]
+        lines += ["", prior_table(fit).text, ""]
     lines += budget_lines(fit)
     lines += friction_lines(fit)
     lines += agreement_lines(fit)
@@ -145,4 +138,4 @@ def fit_text(fit: FitDocument) -> str:
 
 def whole_fit_text(fit: FitDocument) -> str:
     """Everything that `legid fit` prints."""
-    return "\n".join([fit.trust.sentence, *fit.trust.reasons, "", fit_text(fit)])
+    return f"{fit.trust.text}\n\n{fit_text(fit)}"

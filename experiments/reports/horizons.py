@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from experiments.console import text_table
 from experiments.documents import Horizon, finite
 from experiments.reports.html import Section, Table
 
@@ -16,9 +15,9 @@ def _lost(row: Horizon) -> list[int]:
     return [row.blown_up, *([row.against.blown_up] if row.against else [])]
 
 
-def horizons_rows(found: Sequence[Horizon]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one row a horizon, for every joint the error of the model, of another one, of the last velocity
-    kept, and of the smoothed motion itself."""
+def horizon_table(found: Sequence[Horizon]) -> Table:
+    """One row a horizon: for every joint the error of the model, of another one, of the last velocity kept, and of the
+    smoothed motion itself."""
     first = found[0]
     kinds = ("model", "against") if first.against else ("model",)
     header = ["horizon", "pieces", "diverged"]
@@ -32,7 +31,7 @@ def horizons_rows(found: Sequence[Horizon]) -> tuple[list[str], list[list[str]]]
         rows.append(cells)
     rows.append(["noise alone", "", "", *(cell for column in first.noise for cell in
                                           (f"{finite(first.noise[column]):.2g}", *[""] * len(kinds)))])
-    return header, rows
+    return Table(header, rows, range(1, len(header)))
 
 
 def horizon_flags(found: Sequence[Horizon]) -> list[str]:
@@ -48,16 +47,13 @@ def horizon_flags(found: Sequence[Horizon]) -> list[str]:
 
 def horizons_text(found: Sequence[Horizon]) -> str:
     """Text for a person."""
-    header, rows = horizons_rows(found)
-    return "\n".join(["", TITLE, text_table(header, rows, right=set(range(1, len(header)))),
-                      *(f"warning: {flag}" for flag in horizon_flags(found))])
+    return "\n".join(["", TITLE, horizon_table(found).text, *(f"warning: {flag}" for flag in horizon_flags(found))])
 
 
 def horizons_section(found: Sequence[Horizon]) -> Section:
     """The same for a page."""
-    header, rows = horizons_rows(found)
     return Section(
         "How far ahead the model predicts",
         ["Free runs over pieces of a horizon, each from the model's own smoothed state: rms errors in the unit of the "
          "column, next to those of the last velocity kept. Noise alone: the readings about the smoothed motion."],
-        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizon_flags(found)], folded=True)
+        [horizon_table(found)], notes=horizon_flags(found))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib.resources import files
@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from experiments.console import write_text
-from experiments.judge import Level, Trust
+from experiments.console import text_table, write_text
+from experiments.judge import Headline
 from experiments.provenance import META, Origin, program_version
 from experiments.reports.chart import Chart
 
@@ -32,8 +32,8 @@ SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%", "`": ""}
 """What a terminal may lack -> how a page has it."""
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+")
-"""What a browser would part at a hyphen, and a person types."""
+WHOLE = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+|[\d.]+e-\d+")
+"""What a browser would part at a hyphen, and a person reads or types as one."""
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -45,8 +45,13 @@ class Table:
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    right: Collection[int] = ()
     caption: str = ""
-    right: frozenset[int] = frozenset()
+
+    @property
+    def text(self) -> str:
+        """Lines for a terminal; empty without rows."""
+        return text_table(self.header, self.rows, self.right) if self.rows else ""
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ class Section:
     paragraphs: Sequence[str] = ()
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture] = ()
-    notes: Sequence[str] = field(default_factory=tuple)
+    notes: Sequence[str] = ()
     """A list of short sentences, after the figures."""
     command: str = ""
     """A command line to be copied, after the paragraphs."""
@@ -84,27 +89,9 @@ class Section:
     """Shows its heading until a reader opens it; paper shows all of it."""
 
 
-@dataclass(frozen=True)
-class VerdictBox:
-    """Box at the top of a page."""
-
-    tone: Level
-    title: str
-    lines: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    action: str = ""
-    """The next step."""
-
-
-def trust_box(trust: Trust, warnings: Sequence[str] = ()) -> VerdictBox:
-    """The box of an answer that can be relied on so far."""
-    title, lines = trust.headline
-    return VerdictBox(trust.level, title, lines, [f"Warning: {text}" for text in warnings])
-
-
-def fold(sections: Sequence[Section]) -> list[Section]:
+def fold(*sections: Section | None) -> list[Section]:
     """The same sections, folded; without those that have nothing to show."""
-    return [replace(s, folded=True) for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
+    return [replace(s, folded=True) for s in sections if s and (s.paragraphs or s.tables or s.pictures or s.notes)]
 
 
 def uplot_folder() -> Path | None:
@@ -138,8 +125,8 @@ def typeset(text: str) -> str:
 
 
 def whole_options(escaped: str) -> str:
-    """Escaped text in whose lines no option, and no command of two words, is parted at a hyphen."""
-    return OPTION.sub(r'<span class="whole">\g<0></span>', escaped)
+    """Escaped text in whose lines no option, command of two words or number is parted at a hyphen."""
+    return WHOLE.sub(r'<span class="whole">\g<0></span>', escaped)
 
 
 def _prose(text: str) -> Markup:
@@ -158,7 +145,7 @@ def _cell(text: str) -> Markup:
 
 
 def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
-                origin: Origin | None = None, verdict: VerdictBox | None = None) -> str:
+                origin: Origin | None = None, verdict: Headline | None = None) -> str:
     """The page as HTML text; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
@@ -190,6 +177,6 @@ def _lead(sections: Sequence[Section]) -> tuple[list[Section], Picture | None]:
 
 
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],
-               origin: Origin | None = None, verdict: VerdictBox | None = None) -> None:
+               origin: Origin | None = None, verdict: Headline | None = None) -> None:
     """Render and write; `origin` goes into its head. Raises `InputError` where that place cannot be written."""
     write_text(path, render_page(title, summary, sections, origin=origin, verdict=verdict))

@@ -6,9 +6,10 @@ import numpy as np
 
 from experiments.console import text_table
 from experiments.exchange import Guess, si_unit
+from experiments.judge import Headline
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, ORANGE, picture_lines
-from experiments.reports.html import Section, Table, VerdictBox
+from experiments.reports.html import Section, Table
 
 SECONDS = 15.0
 GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
@@ -25,15 +26,15 @@ def guess_table(guess: Guess) -> str:
     return text_table(GUESS_HEADER, guess_rows(guess), set())
 
 
-def guess_verdict(guess: Guess) -> VerdictBox:
+def guess_verdict(guess: Guess) -> Headline:
     """Whether the guess explains the data, and what to look at before it is used."""
     if guess.unexplained:
-        return VerdictBox("bad", "NOT TO BE USED AS IT IS: these columns do not explain each other.",
+        return Headline("bad", "NOT TO BE USED AS IT IS: these columns do not explain each other.",
                        ["What the table calls NOT KNOWN stands in the map as the file has it. Correct it there."],
                        [*guess.unexplained, *guess.warnings])
     if guess.warnings:
-        return VerdictBox("caution", "Look at this before you use the guess.", warnings=guess.warnings)
-    return VerdictBox("good", "Units and signs explain the readings.")
+        return Headline("caution", "Look at this before you use the guess.", warnings=guess.warnings)
+    return Headline("good", "Units and signs explain the readings.")
 
 
 def guess_section(guess: Guess, file: str) -> Section:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
+from msgspec import UnsetType
 
 from daq import Dataset
 from experiments.console import write_json
+from experiments.judge import Files, Headline, with_names
 from experiments.models import Model
 from experiments.provenance import Origin, origin_of
 from experiments.provenance import Source as Source
 from experiments.provenance import source_of as source_of
-from experiments.reports.html import Section, Table
+from experiments.reports.html import Section, Table, write_page
 from experiments.session import damaged_runs
 
 
@@ -43,8 +46,31 @@ def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()
     return msgspec.structs.replace(model, provenance=told)
 
 
-def origin_section(origin: Origin, runs: Sequence[Dataset] = (), damaged: Sequence[Mapping[str, str]] = ()) -> Section:
-    """The last section of a page; damaged runs are told of `runs`, or as a document has them."""
+class Result(Protocol):
+    """A document that a verb gives."""
+
+    @property
+    def headline(self) -> Headline:
+        """The first lines."""
+
+    @property
+    def provenance(self) -> Origin | UnsetType:
+        """Its files."""
+
+
+def write_result(path: Path | str, found: Result, title: str, summary: str, sections: Sequence[Section],
+                 files: Files | None = None) -> None:
+    """Write the page of a document: what it says first in a box, `sections`, its files. The next step names `files`.
+
+    Raises `InputError` where that place cannot be written.
+    """
+    origin, head = found.provenance or origin_of(), found.headline
+    write_page(path, title, summary, [*sections, origin_section(origin, getattr(found, "damaged", ()))], origin,
+               replace(head, action=with_names(head.action, files)))
+
+
+def origin_section(origin: Origin, damaged: Sequence[Mapping[str, str]] = ()) -> Section:
+    """The last section of a page; damaged runs are told as a document has them."""
     rows = [[source.file + (f" in {source.inside}" if source.inside else ""), source.sha256]
             for source in origin.sources]
     how = ["Command:"] if origin.command else []
@@ -56,7 +82,7 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = (), damaged: Sequen
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
                     "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,
-                   notes=[*(f"{d['run']} is damaged: {d['what']}" for d in (*damaged_runs(runs), *damaged)), *use],
+                   notes=[*(f"{d['run']} is damaged: {d['what']}" for d in damaged), *use],
                    folded=True)
 
 

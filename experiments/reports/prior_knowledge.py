@@ -6,8 +6,6 @@ from experiments.documents import FitDocument
 from experiments.judge import number
 from experiments.reports.html import Section, Table
 
-HEADER = ["known before", "value", "std", "after the fit", "std after"]
-
 
 def prior_sentence(fit: FitDocument) -> str:
     """Sentence on the prior of a fit; empty without one."""
@@ -17,17 +15,15 @@ def prior_sentence(fit: FitDocument) -> str:
     return f"Maximum a posteriori: the fit used what [prior] says ({names}), together with the runs."
 
 
-def prior_rows(fit: FitDocument) -> list[list[str]]:
-    """One row of HEADER a known value."""
-    return [[one.name, number(one.value, one.std), number(one.std, one.std), number(one.fitted, one.fitted_std),
-             number(one.fitted_std, one.fitted_std)] for one in fit.prior]
+def prior_table(fit: FitDocument) -> Table:
+    """One row a known value."""
+    return Table(["known before", "value", "std", "after the fit", "std after"], [
+        [one.name, number(one.value, one.std), number(one.std, one.std), number(one.fitted, one.fitted_std),
+         number(one.fitted_std, one.fitted_std)] for one in fit.prior], range(1, 5))
 
 
-def knowledge_section(fit: FitDocument) -> list[Section]:
+def knowledge_section(fit: FitDocument) -> Section:
     """Section on the prior and the next value to measure; empty without either."""
     advice = "" if fit.measure_next is None else fit.measure_next.text
-    if not fit.prior and not advice:
-        return []
-    tables = [Table(HEADER, prior_rows(fit), right=frozenset({1, 2, 3, 4}))] if fit.prior else []
-    return [Section("What was known before, and what to measure next",
-                    [text for text in (prior_sentence(fit), advice) if text], tables)]
+    return Section("What was known before, and what to measure next", [*filter(None, [prior_sentence(fit), advice])],
+                   [prior_table(fit)] if fit.prior else [])

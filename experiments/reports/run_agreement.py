@@ -34,13 +34,13 @@ def agreement_lines(fit: FitDocument) -> list[str]:
     return lines
 
 
-def agreement_section(fit: FitDocument) -> list[Section]:
-    """Section on disagreements between runs, with the values of each; empty where nobody asked."""
+def agreement_section(fit: FitDocument) -> Section | None:
+    """Section on disagreements between runs, with the values of each; None where nobody asked."""
     found, lines = fit.agreement, agreement_lines(fit)
     if found is None:
-        return []
+        return None
     if not found.disagree:
-        return [Section(f"Do the {found.unit}s agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])]
+        return Section(f"Do the {found.unit}s agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])
     text = [f"{lines[0][:1].upper()}{lines[0][1:]}.",
             f"Mean and scatter are those of {found.unit}s that each have parameters of their own, to first order at "
             f"the values above. A {found.unit}'s own value is shrunk to the mean by its uncertainty. Where the "
@@ -56,13 +56,11 @@ def agreement_section(fit: FitDocument) -> list[Section]:
                      f"{finite(row.widened):.1f} times", p.unit, p.meaning])
         by_run.append([p.name, *(number(x, scatter) for x in own), p.unit])
     runs = list(found.runs) if each else ["lowest", "highest"]
-    return [Section(f"Do the {found.unit}s agree?", text, [
-        Table(["parameter", "mean", "scatter", "interval widened", "unit", "meaning"], over,
-              f"Over all {found.unit}s",
-              frozenset({1, 2, 3})),
-        Table(["parameter", *runs, "unit"], by_run,
-              f"{found.unit.capitalize()} by {found.unit}" if each else f"The {found.unit}s furthest apart",
-              frozenset(range(1, len(runs) + 1)))])]
+    return Section(f"Do the {found.unit}s agree?", text, [
+        Table(["parameter", "mean", "scatter", "interval widened", "unit", "meaning"], over, {1, 2, 3},
+              f"Over all {found.unit}s"),
+        Table(["parameter", *runs, "unit"], by_run, range(1, len(runs) + 1),
+              f"{found.unit.capitalize()} by {found.unit}" if each else f"The {found.unit}s furthest apart")])
 
 
 def _widened(fit: FitDocument) -> str:

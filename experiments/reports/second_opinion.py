@@ -21,11 +21,11 @@ def opinion_lines(fit: FitDocument) -> list[str]:
     return [told + (f"; not compared: {', '.join(other.not_compared)}" if other.not_compared else "")]
 
 
-def opinion_section(fit: FitDocument) -> list[Section]:
+def opinion_section(fit: FitDocument) -> Section | None:
     """For the page; none without a second opinion."""
     other = fit.second_opinion
     if other is None:
-        return []
+        return None
     parameters = {p.name: p for p in fit.parameters}
     rows = [[row.name, _with_half(parameters[row.name].value, parameters[row.name].ci95),
              _with_half(row.value, row.ci95), f"{row.disagreement:.2g}", parameters[row.name].unit,
@@ -33,11 +33,10 @@ def opinion_section(fit: FitDocument) -> list[Section]:
     ours, theirs = METHOD_WORDS[fit.method], METHOD_WORDS[other.method]
     told = (f"The same data by {theirs}, which fails differently. Disagreement: difference over the root of both "
             f"squared half widths; above {MOST_DISAGREEMENT:g} the fit is not trusted.")
-    return [Section("Second opinion", [told, *([f"{other.why[:1].upper()}{other.why[1:]}."] if other.why else [])], [
-        Table(["parameter", f"{ours} (reported)", theirs, "disagreement", "unit", "meaning"], rows,
-              right=frozenset({1, 2, 3}))],
+    return Section("Second opinion", [told, *([f"{other.why[:1].upper()}{other.why[1:]}."] if other.why else [])], [
+        Table(["parameter", f"{ours} (reported)", theirs, "disagreement", "unit", "meaning"], rows, {1, 2, 3})],
         notes=[f"Not compared because given, at a bound, or not determined by both: {', '.join(other.not_compared)}."]
-        if other.not_compared else [])]
+        if other.not_compared else [])
 
 
 def _with_half(value: float | None, ci95: tuple[float | None, float | None]) -> str:

@@ -74,7 +74,8 @@ def _draw_link(axes: Axes, mechanism: Mechanism, link: int, begin: FloatArray, e
     parent = parent_of(mechanism, link)
     axes.plot(*zip(start, end[link]), color=BLUE, linewidth=4.0, solid_capstyle="round", zorder=2)
     side = 1 if along[0] >= 0.0 else -1  # away from the vertical, where the arc is
-    axes.annotate(f"link {link + 1}", tuple(start + 0.6 * along), xytext=(7 * side, 3), textcoords="offset points",
+    at = 0.2 if any(place.link == link for place in _imus(mechanism)) else 0.6  # which has a label of its own
+    axes.annotate(f"link {link + 1}", tuple(start + at * along), xytext=(7 * side, 3), textcoords="offset points",
                   fontsize=9.0, ha="left" if side > 0 else "right")
     driven = link in mechanism.actuated
     axes.plot(*start, "o", color=BLUE, markerfacecolor=ORANGE if driven else "white", markersize=8.0, zorder=4)
@@ -107,11 +108,11 @@ def _draw_imus(axes: Axes, mechanism: Mechanism, link: int, start: FloatArray, a
 def _draw_imu(axes: Axes, at: FloatArray, along: FloatArray, up: float, label: str) -> None:
     """Its x axis points the way in which it moves as the angle grows, its y axis along the link."""
     axes.plot(*at, "s", color=ORANGE, markersize=7.0, zorder=5)
-    for axis, name in ((-up * np.array([-along[1], along[0]]), "x"), (along, "y")):
-        tip = at + 0.3 * axis
-        axes.annotate("", tuple(tip), tuple(at), arrowprops={"arrowstyle": "->", "color": ORANGE}, zorder=5)
-        axes.annotate(name, tuple(at + 0.38 * axis), color=ORANGE, ha="center", va="center", fontsize=9.0)
     side = 1 if along[0] >= 0.0 else -1  # as of the link's label: on the other side is the arc
+    for axis, name, aside in ((-up * np.array([-along[1], along[0]]), "x", 0.0), (along, "y", -0.14 * side)):
+        tip, letter = at + 0.3 * axis, at + 0.38 * axis + np.array([aside, 0.0])
+        axes.annotate("", tuple(tip), tuple(at), arrowprops={"arrowstyle": "->", "color": ORANGE}, zorder=5)
+        axes.annotate(name, tuple(letter), color=ORANGE, ha="center", va="center", fontsize=9.0)
     axes.annotate(label, tuple(at), xytext=(10 * side, -12), textcoords="offset points", color=ORANGE,
                   ha="left" if side > 0 else "right", fontsize=9.0)
 

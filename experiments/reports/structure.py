@@ -1,4 +1,4 @@
-"""The structure of a residual: in words, as rows, and its curves with their bands."""
+"""The structure of a residual: in words, as a table, and its curves with their bands."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from daq import FloatArray
 from estimator import TWO_SIDED
 from estimator.effects import Table as TorqueTable
-from estimator.prediction import LearntTorque, Structure, where_of, words_of
+from estimator.prediction import LearntTorque, Structure, words_of
+from experiments.documents import DiagnosisDocument, Learnt, finite
 from experiments.reports.diagnosis_figures import draw
 from experiments.reports.figures import BLUE, HEIGHT_IN, INK, ORANGE, finish
 from experiments.reports.html import Picture, Section, Table
 
-HEADER = ["joint", "function of", "rms torque", "noise level"]
 BINS = 40
 UNITS = {"angle": "rad", "rate": "rad/s", "motor torque": "N m"}
 NOT_COVERED = ("The bands are 95 % by the scatter of samples and between runs. They do not cover the model's "
@@ -23,33 +23,30 @@ NOT_COVERED = ("The bands are 95 % by the scatter of samples and between runs. T
 USE = "--model-out saves it under `structure`; simulate, validate and compare use it."
 
 
-def structure_words(found: Structure) -> str:
+def structure_words(found: Learnt) -> str:
     """Sentences about the share of the error that the structure removes, with its interval, and its place."""
-    low, high = found.removed_ci95 or (np.nan, np.nan)
-    (joint, inputs), *_ = where_of(found)
+    low, high = map(finite, found.removed_ci95 or (None, None))
     return (f"A function of the state that repeats in all runs removes {100.0 * found.removed:.0f} % "
             f"[{100.0 * low:.0f}, {100.0 * high:.0f}] of the free-run error on left-out runs. It is largest at joint "
-            f"{joint}, as a function of {inputs}.")
+            f"{found.where[0].joint}, as a function of {found.where[0].depends_on}.")
 
 
-def structure_rows(found: Structure) -> list[list[str]]:
-    """One row of HEADER a table of the structure, the largest torque first."""
-    noise = {(one.law.joint or 0) + 1: one.noise_nm for one in found.torques}
-    unit = found.mechanism.unit("N m")
-    return [[str(joint), inputs, f"{rms:.3g} {unit}", f"{noise[joint]:.3g} {unit}"]
-            for (joint, inputs), rms in where_of(found).items()]
+def structure_table(found: Learnt, unit: str) -> Table:
+    """One row a torque, the largest first."""
+    return Table(["joint", "function of", "rms torque", "noise level"],
+                 [[str(one.joint), one.depends_on, f"{one.rms_nm:.3g} {unit}", f"{one.noise_nm:.3g} {unit}"]
+                  for one in found.where], {2, 3}, "rms over the samples")
 
 
-def structure_section(found: Structure | None) -> Section:
-    """The structure on the page of a diagnosis; empty without one."""
-    title = "Structure without a listed cause"
-    if found is None:
-        return Section(title)
-    return Section(title, [structure_words(found), USE],
-                   [Table(HEADER, structure_rows(found), "rms over the samples", frozenset({2, 3}))],
-                   [Picture(_curve(one, table, found), f"Torque that joint {(one.law.joint or 0) + 1} takes in "
-                            f"addition, as a function of {words_of(table, one.law.joint or 0)}.")
-                    for one, table in _curves(found)], [NOT_COVERED])
+def structure_section(found: DiagnosisDocument, kept: Structure | None) -> Section | None:
+    """The structure on the page of a diagnosis, its curves where they are `kept`; None without one."""
+    if found.structure is None:
+        return None
+    pictures = [] if kept is None else [
+        Picture(_curve(one, table, kept), f"Torque that joint {(one.law.joint or 0) + 1} takes in addition, as a "
+                f"function of {words_of(table, one.law.joint or 0)}.") for one, table in _curves(kept)]
+    return Section("Structure without a listed cause", [structure_words(found.structure), USE],
+                   [structure_table(found.structure, found.force_unit)], pictures, [NOT_COVERED] if pictures else [])
 
 
 def _curves(found: Structure) -> Iterator[tuple[LearntTorque, TorqueTable]]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from experiments.console import text_table
 from experiments.documents import Walk, Walked
 from experiments.reports.html import Section, Table
 
 TITLE = "Free runs across touchdowns, whose instants are the record's, with the impact map (rms in the last step):"
 
 
-def walk_rows(found: Walk) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one row a number of steps."""
+def walk_table(found: Walk) -> Table:
+    """One row a number of steps."""
     rows = [[str(a.steps), str(a.pieces), str(a.fell),
              *("all fell" if x is None else f"{x:.3g}" for x in a.rmse.values())] for a in found.ahead]
-    return ["steps", "pieces", "fell", *(found.ahead[0].rmse if found.ahead else ())], rows
+    header = ["steps", "pieces", "fell", *(found.ahead[0].rmse if found.ahead else ())]
+    return Table(header, rows, range(len(header)))
 
 
 def fall_text(run: Walked) -> str:
@@ -26,14 +26,10 @@ def fall_text(run: Walked) -> str:
 
 def walk_text(found: Walk) -> str:
     """Text for a person."""
-    header, rows = walk_rows(found)
-    return "\n".join(["", TITLE, text_table(header, rows, right=set(range(len(header)))),
-                      *(fall_text(run) for run in found.runs)])
+    return "\n".join(["", TITLE, walk_table(found).text, *map(fall_text, found.runs)])
 
 
 def walk_section(found: Walk) -> Section:
     """The same for a page."""
-    header, rows = walk_rows(found)
-    return Section("How many steps ahead the model predicts", [TITLE],
-                   [Table(header, rows, right=frozenset(range(len(header))))],
-                   notes=[fall_text(run) for run in found.runs], folded=True)
+    return Section("How many steps ahead the model predicts", [TITLE], [walk_table(found)],
+                   notes=[*map(fall_text, found.runs)])

@@ -20,12 +20,9 @@ from experiments.reports import (
     model_with_origin,
     origin_section,
     standalone,
-    trust_box,
     truth_section,
     validation_picture,
     validation_section,
-    verdict_box,
-    verdict_words,
     write_page,
 )
 from experiments.workflows.demo_result import Demo
@@ -44,19 +41,20 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     save_model(model_with_origin(demo.model, origin), written["extended model"])
     fit = structs.replace(FitDocument.of(result, setup.settings), provenance=origin)
     write_json(written["fit"], fit)
-    write_json(written["diagnosis"], structs.replace(DiagnosisDocument.of(demo.diagnosis), provenance=origin))
+    diagnosis = structs.replace(DiagnosisDocument.of(demo.diagnosis, model=setup.settings.model), provenance=origin)
+    write_json(written["diagnosis"], diagnosis)
     write_json(written["validation"], structs.replace(_validation(demo, demo.after), provenance=origin))
     write_text(written["picture"], standalone(validation_picture(validations_of(demo.after)[0])))
     sections = fit_sections(fit, result, benchmark)
     sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
     sections[-3:-3] = [validation_section(_validation(demo, demo.before), demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(fit),
-               [*sections, origin_section(origin)], origin, trust_box(fit.trust, fit.warnings))
-    told = diagnosis_sections(demo.diagnosis, setup.mechanism)
+               [*sections, origin_section(origin)], origin, fit.headline)
+    told, head = diagnosis_sections(diagnosis, demo.diagnosis), diagnosis.headline
     told[1:1] = [truth_section(setup.mechanism, demo.estimates(), demo.truth)]
-    write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",
+    write_page(written["report"], f"The emulated leg: {head.title[:1].lower()}{head.title[1:]}",
                f"The leg was emulated. In addition to its rig file it had {demo.hidden.words}.",
-               [*told, origin_section(origin)], origin, verdict_box(demo.diagnosis))
+               [*told, origin_section(origin)], origin, head)
     return written
 
 

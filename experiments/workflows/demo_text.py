@@ -6,21 +6,21 @@ import numpy as np
 
 from estimator.prediction import PredictionTable
 from experiments.console import text_table
+from experiments.documents import DiagnosisDocument
 from experiments.judge import number
-from experiments.reports import gap_text, size_rows
+from experiments.reports import gap_text, size_table
 from experiments.workflows.demo_result import Demo
 
 
 def demo_text(demo: Demo) -> str:
     """Hidden effect, findings, parameters against the truth, and files, for a person."""
-    found, mechanism = demo.diagnosis, demo.setup.mechanism
-    runs = sum(len(names) for names in found.runs.values())
+    found, mechanism = DiagnosisDocument.of(demo.diagnosis), demo.setup.mechanism
+    runs = sum(map(len, demo.diagnosis.runs.values()))
     extended = bool(demo.model.effects)
     lines = [f"Recorded {runs} runs on an emulated leg. Hidden in it: {demo.hidden.words}.", "",
              f"Diagnosis: {found.sentence}"]
     if found.causes:
-        rows = [row for cause in found.causes for row in size_rows(cause)]
-        lines += ["", text_table(["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}), ""]
+        lines += ["", size_table(found.causes).text, ""]
     lines += [text for text in (gap_text(found),) if text]
     lines += [_free_run("nominal", demo.before)] + ([_free_run("extended", demo.after)] if extended else [])
     rows = []

@@ -204,11 +204,11 @@ class Investigator:
         step = Step(tuple(self._pending), found, self.clock.spent_s)
         self._pending = []
         self.steps.append(step)
-        setup, name, origin = prepared.setup, f"diagnosis{len(self.steps)}", self.origin(self.files)
-        document = DiagnosisDocument.of(found, prepared.set_aside, setup.datasets)
-        document.provenance = origin
+        setup, name = prepared.setup, f"diagnosis{len(self.steps)}"
+        document = DiagnosisDocument.of(found, prepared.set_aside, setup.datasets, setup.settings.model)
+        document.provenance = self.origin(self.files)
         document.to_json(self.out / f"{name}.json")
-        write_diagnosis(self.out / f"{name}.html", found, prepared, origin)
+        write_diagnosis(self.out / f"{name}.html", document, found)
         self._journal(None, "The investigation goes on.")
         self.asked.told(step)
         if found.verdict == "fit_failed":
@@ -343,10 +343,10 @@ class Investigator:
         if self._pending:
             steps.append(Step(tuple(self._pending), None, self.clock.spent_s))
         done = Investigation(tuple(steps), ending, why, self.clock.budget_s, self.clock.spent_s)
-        document, origin = InvestigationDocument.of(done), self.origin(self.files)
-        document.provenance = origin
+        document = InvestigationDocument.of(done)
+        document.provenance = self.origin(self.files)
         document.to_json(self.out / "investigation.json")
-        write_investigation(self.out / "investigation.html", document, origin)
+        write_investigation(self.out / "investigation.html", document)
         return done
 
     @property

@@ -135,7 +135,7 @@ def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:
 
 
 def _table_iii(table: Table) -> Section:
-    right = frozenset(range(1, len(HEADER)))
+    right = range(1, len(HEADER))
     return Section(
         "Table III",
         ["Sample mean and variance of the summed squared angle error [rad²] of the identified model, next to the "
@@ -156,13 +156,13 @@ def _trust(table: Table) -> Section:
         ["Mean squared error of each parameter over its Cramér-Rao bound: the mean of the eight parameters, and the "
          "worst one. The bound is that of the model as posed: exact motion of a rigid walker under held torque, states "
          "and true torques unknown. Least squares takes the angles as exact, so its intervals do not cover."],
-        [PageTable(TRUST_HEADER, trust_rows(table), right=frozenset(range(1, len(TRUST_HEADER))))])
+        [PageTable(TRUST_HEADER, trust_rows(table), range(1, len(TRUST_HEADER)))])
 
 
 def _parameters(table: Table) -> Section:
     cells = [cell for cell in table.cells if cell.method == "mle"]
     header = ["", *(f"case {cell.case}" for cell in cells)]
-    right = frozenset(range(1, len(header)))
+    right = range(1, len(header))
     names = motor_mechanism().names
     ratios = [[f"{name} = {value:g}", *(f"{cell.mse_over_bound[k]:.3f}" for cell in cells)]
               for k, (name, value) in enumerate(zip(names, truth()))]
@@ -178,9 +178,9 @@ def _parameters(table: Table) -> Section:
          "the model is parametrised. Below zero, the search would have ended in a false minimum. In case 1 it is below "
          "8 and the joint region too wide because the fit allows the stance foot 0.03 N m that it does not carry; the "
          "estimates do not hinge on that."],
-        [PageTable(header, ratios, "Mean squared error over the Cramér-Rao bound", right),
-         PageTable(header, coverage, "Share of runs whose 95 % interval holds the truth", right),
-         PageTable(header, joint, "All parameters together", right)])
+        [PageTable(header, ratios, right, "Mean squared error over the Cramér-Rao bound"),
+         PageTable(header, coverage, right, "Share of runs whose 95 % interval holds the truth"),
+         PageTable(header, joint, right, "All parameters together")])
 
 
 def _making(table: Table, machine: str, note: str) -> Section:
@@ -199,7 +199,7 @@ def _making(table: Table, machine: str, note: str) -> Section:
          f"Machine that gathered the results: {machine}. Processor time of all work, whichever worker did it: "
          f"{table.seconds:.0f} s. Noise of a run depends on the seed, the case and the run's number alone; work is cut "
          f"into blocks of {BLOCK} runs.", *([note] if note else [])],
-        [PageTable(["method", "processor time [s]"], by_method, right=frozenset({1}))])
+        [PageTable(["method", "processor time [s]"], by_method, {1})])
 
 
 def _distribution(table: Table, case: int) -> Picture:

@@ -177,7 +177,7 @@ def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[
 def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
     body = [[kind, *(f"{value:.3f}" for value in row), f"{row.max():.3f}"] for kind, row in rows.items()]
     return markdown_table(Table(header=["", *names, "largest"], rows=body, caption=caption,
-                                right=frozenset(range(1, len(names) + 2))))
+                                right=range(1, len(names) + 2)))
 
 
 EVIDENCE = (

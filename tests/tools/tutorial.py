@@ -85,7 +85,7 @@ def draw(folder: Path, out: Path) -> None:
     """The page's figures, from the runs and models in `folder`."""
     from experiments.reports.diagnosis_figures import error_bars
     from experiments.reports.figures import standalone
-    from experiments.reports.validation_page import validation_picture
+    from experiments.reports.validation import validation_picture
     from legid import diagnose, load, load_model, validate
 
     rig = folder / "rig.toml"

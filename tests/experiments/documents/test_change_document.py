@@ -82,10 +82,10 @@ def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path
 
 def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Path) -> None:
     found = legid.Sessions.read(written(tmp_path, SESSIONS))
-    assert str(found).splitlines()[2].split() == ["A", "C", "no_change", "No", "difference."]
+    assert str(found).splitlines()[4].split() == ["A", "C", "no_change", "No", "difference."]
     assert found.verdict == "named" and found.pairs[1].a.name == "A" and len(found.plot().axes) == 1
     assert found.to_frame()[["from", "to", "value"]].values.tolist() == [["A", "B", 0.03]]
-    assert len(found.to_frame("candidates")) == 4 and "no_change: No difference." in found._repr_html_()
+    assert len(found.to_frame("candidates")) == 4 and "<p>No difference</p>" in found._repr_html_()
     found.page(tmp_path / "page.html")
     assert "B against A: Changed" in (tmp_path / "page.html").read_text()
     found.to_json(tmp_path / "again.json")
@@ -98,10 +98,11 @@ def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Pat
 def test_a_watch_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
     found = legid.Watching.read(written(tmp_path, WATCH))
     lines = str(found).splitlines()
-    assert lines[0] == "b.csv: ok; 10 s; likeliest change payload (link 2), by chance 3 times an hour"
-    assert lines[1].startswith("c.csv: ALARM after 10.0 s;") and lines[2] == "  The next run names the change"
-    assert lines[3] == "d.csv: not tested: it is empty" and lines[5].startswith("  1 runs since b.csv: Changed: ")
-    assert found.alarms == ("c.csv",) and lines[-1].endswith("1 with an alarm, first c.csv")
+    assert lines[0].startswith("The rig changed: ") and lines[0].endswith("1 with an alarm, first c.csv")
+    assert lines[1] == "b.csv: ok; 10 s; likeliest change payload (link 2), by chance 3 times an hour"
+    assert lines[2].startswith("c.csv: ALARM after 10.0 s;") and lines[3] == "  The next run names the change"
+    assert lines[4] == "d.csv: not tested: it is empty" and lines[6].startswith("  1 runs since b.csv: Changed: ")
+    assert found.alarms == ("c.csv",) and repr(found).startswith("<Watching: The rig changed: ")
     assert found.to_frame()["effect"].dropna().tolist() == ["payload", "gyro_scale", "payload"]
     assert len(found.plot().axes) == 1 and found.watched[3].change is not None
     found.page(tmp_path / "page.html")

@@ -85,8 +85,10 @@ def test_what_was_read_is_written_as_it_was(tmp_path: Path) -> None:
 
 def test_a_file_has_no_motion(tmp_path: Path) -> None:
     found = read(tmp_path, FIRST)
-    for ask in (found.plot, lambda: found.covariance, lambda: found.page(tmp_path / "p.html"),
-                lambda: legid.model(found)):
+    found.page(tmp_path / "p.html")
+    page = (tmp_path / "p.html").read_text()
+    assert "<h2>Parameters</h2>" in page and "<h2>Torques</h2>" not in page
+    for ask in (found.plot, lambda: found.covariance, lambda: legid.model(found)):
         with pytest.raises(legid.WorkError, match="read from a file, which has no covariance and no motion"):
             ask()
 

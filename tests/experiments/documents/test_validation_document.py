@@ -51,7 +51,9 @@ def test_a_document_of_an_earlier_version_is_read_and_told(earlier: Path) -> Non
     assert repr(found) == "<Validations: ROUGH: over 1 s it is.>"
     assert found.set_aside[0].run == "b.csv" and len(found) == 1
     assert found.to_frame().loc["a.csv", "q2_rad"] == 0.03 and "<table>" in found._repr_html_()
-    for ask in (found.plot, lambda: found[0], lambda: found.page(earlier.parent / "p.html")):
+    found.page(earlier.parent / "p.html")
+    assert "Look at it." in (earlier.parent / "p.html").read_text()
+    for ask in (found.plot, lambda: found[0]):
         with pytest.raises(legid.WorkError, match="read from a file, which has no motion"):
             ask()
 

@@ -13,7 +13,6 @@ from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
 from experiments.documents import DiagnosisDocument
 from experiments.judge.next_steps import RECORD, SENSORS, Files, next_step, variable_of, with_names
-from experiments.reports.diagnosis_page import verdict_box
 from experiments.reports.diagnosis_text import diagnosis_text
 from tests.support.diagnoses import synthetic
 
@@ -31,7 +30,7 @@ def options_of(command: str) -> set[str]:
 def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
     found = replace(synthetic(), verdict=verdict)
     step = next_step(found)
-    assert "\n" not in step and step in diagnosis_text(found)
+    assert "\n" not in step and step in diagnosis_text(DiagnosisDocument.of(found))
     assert DiagnosisDocument.of(found).document["next_step"] == step
     commands = re.findall(r"legid ([a-z]+)(.*?)(?=, then|$)", step)
     assert commands
@@ -67,7 +66,8 @@ FILES = Files(("a.csv", "my run.csv"), "leg.toml", "ext.json", "d.json")
 def test_a_next_step_names_the_files_that_were_given(verdict: Verdict) -> None:
     found = replace(synthetic(), verdict=verdict)
     step = with_names(next_step(found), FILES)
-    assert step in diagnosis_text(found, FILES) and verdict_box(found, files=FILES).action == f"Next step: {step}"
+    document = DiagnosisDocument.of(found)
+    assert step in diagnosis_text(document, FILES) and with_names(document.headline.action, FILES) == step
     assert "RIG" not in step and "MODEL.json" not in step and not re.search(r"(?<!NEW_)RUN", step)
 
 

@@ -31,9 +31,8 @@ from experiments.judge.residuals import (
     torque_autocorrelation,
 )
 from experiments.judge.trust import fit_trust, validation_trust
-from experiments.reports.comparison import comparison_text
-from experiments.reports.comparison_page import comparison_sections
-from experiments.reports.html import render_page, trust_box
+from experiments.reports.comparison import comparison_sections, comparison_text
+from experiments.reports.html import render_page
 from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
@@ -138,10 +137,10 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert fit_trust(sound).sentence.startswith("TRUST the parameters")
     found = fit_trust(noisy)
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
-    box = trust_box(found)
+    box = found.headline
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
     long = structs.replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
-    assert trust_box(long).title == "B IS BETTER" and trust_box(long).lines[0].startswith("Word word")
+    assert long.headline.title == "B IS BETTER" and long.headline.lines[0].startswith("Word word")
 
 
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
@@ -247,7 +246,7 @@ def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     text = comparison_text(document)
     assert "nan" not in text.replace("scan", "") and str(document.trust).startswith(words)
     assert "data-tone" in render_page("t", "s", comparison_sections(document, found.table),
-                                      verdict=trust_box(document.trust))
+                                      verdict=document.headline)
 
 
 @pytest.mark.parametrize("repeats", [True, False])

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,16 +13,28 @@ from estimator.diagnosis.result import Diagnosis, Remainder, SensorGain, ShortRu
 from estimator.model import leg2
 from experiments.documents import DiagnosisDocument
 from experiments.reports.diagnosis_figures import axis_label, signature_limits
-from experiments.reports.diagnosis_page import diagnosis_sections, verdict_box, verdict_words
+from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
 from experiments.reports.diagnosis_text import diagnosis_text, key_label
-from experiments.reports.html import render_page, typeset
+from experiments.reports.html import Section, render_page, typeset
 from tests.support.diagnoses import synthetic
 from tests.support.pages import Outside, allowed_script
 
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    return render_page("t", "", diagnosis_sections(synthetic(), leg2(lever_arm=0.2)), verdict=verdict_box(synthetic()))
+    return page_of(replace(synthetic(), mechanism=leg2(lever_arm=0.2)))
+
+
+def text_of(found: Diagnosis) -> str:
+    return diagnosis_text(DiagnosisDocument.of(found))
+
+
+def sections_of(found: Diagnosis) -> list[Section]:
+    return diagnosis_sections(DiagnosisDocument.of(found), found)
+
+
+def page_of(found: Diagnosis) -> str:
+    return render_page("t", "", sections_of(found), verdict=DiagnosisDocument.of(found).headline)
 
 
 def test_document_is_the_contract() -> None:
@@ -29,7 +42,7 @@ def test_document_is_the_contract() -> None:
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
             "error", "compared", "structure", "stability", "probability", "probability_in_library", "rotations",
-            "set_aside", "within_tolerance", "readings", "damaged"} == set(found)
+            "set_aside", "within_tolerance", "readings", "damaged", "model", "force_unit", "hold"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97], "of_error": 0.8, "of_error_ci95": [0.7, 0.87]}
@@ -55,8 +68,9 @@ def test_document_is_the_contract() -> None:
     pieces = DiagnosisDocument.of(replace(synthetic(), short=short)).document["gain"]["pieces"]
     assert pieces == {"horizon_s": 1.0, "rmse": {"q1_rad": {"before": 0.02, "after": 0.01, "floor": 0.009}},
                       "gap_closed": 0.9, "gap_closed_ci95": [0.7, 1.0]}
-    assert "pieces of 1 s" in diagnosis_text(replace(synthetic(), short=short))
+    assert "pieces of 1 s" in text_of(replace(synthetic(), short=short))
     assert found["runs"]["screen"] == ["r2.csv"] and found["parameters"]["extended"]["beta9"] == 0.11
+    assert found["parameters"]["nominal_std"]["beta9"] == 0.001 and "motor" not in found["candidates"][2]
 
 
 @pytest.mark.parametrize(("probability", "told"), [(0.874, "0.87"), (1.0, "above 0.99"), (None, "")])
@@ -65,7 +79,7 @@ def test_an_answer_states_its_probability_and_the_condition(probability: float |
     document = DiagnosisDocument.of(found).document
     assert (document["probability"], document["probability_in_library"]) == (found.probability, probability)
     line = f"Probability of this answer: 0.86, as on simulated legs; {told} if the library has the true causes."
-    for text in (diagnosis_text(found), " ".join(verdict_box(found).lines)):
+    for text in (text_of(found), " ".join(DiagnosisDocument.of(found).headline.lines)):
         assert (line in text) is bool(told) and ("Probability" in text) is bool(told)
 
 
@@ -97,12 +111,13 @@ def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> N
 
 def test_errors_lead_where_no_run_is_drawn() -> None:
     found = replace(synthetic(), traces=())
-    page = render_page("t", "", diagnosis_sections(found), verdict=verdict_box(found))
+    page = page_of(found)
     assert "multiples of what noise alone leaves" in page.split("</header>")[0]
 
 
 def test_page_shows_what_was_found(page: str) -> None:
-    for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004", "&lt; 1e-6",
+    for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004",
+                  '&lt; <span class="whole">1e-6</span>',
                   "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
         assert typeset(words) in page, words
     assert page.count("<svg") == 1 + 1 + 1 + 2 + 2 + 1 + 1
@@ -131,7 +146,7 @@ def test_signatures_of_rivals_share_their_axes() -> None:
 
 
 def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
-    text = diagnosis_text(synthetic())
+    text = text_of(synthetic())
     assert text.startswith(synthetic().sentence)
     assert "The error falls in 2 of 3 rotations." in text and "on all runs, each held out once" in text
     order = ["every run was held out once", "stribeck_friction, joint 2: excess_torque  0.0471", "Causes:",
@@ -147,9 +162,9 @@ def test_a_nominal_simulation_that_diverges_has_no_number() -> None:
     found = replace(whole, sensors={**whole.sensors, "q2_rad": SensorGain(np.inf, 0.02, 0.015)})
     assert DiagnosisDocument.of(found).document["gain"]["free_run_rmse"]["q2_rad"] == {"before": None, "after": 0.02,
                                                                            "floor": 0.015}
-    text = diagnosis_text(found)
+    text = text_of(found)
     assert "diverged" in text and "extension closes 90 % of the gap in mean square" in text
-    page = render_page("t", "", diagnosis_sections(found))
+    page = page_of(found)
     assert "diverged" in page and "inf" not in re.findall(r"<td[^>]*>([^<]*)</td>", page)
 
 
@@ -159,12 +174,12 @@ def test_verdicts_with_less_to_show(verdict: Verdict) -> None:
     bare = Diagnosis(verdict, "No more than this.")
     for found in (bare, replace(whole, verdict=verdict, causes=(), sensors={}, signatures=(), traces=(), extended={},
                                 extended_std={}, gap_closed=None, gap_closed_ci95=None)):
-        page = render_page(verdict_words(verdict), found.sentence, diagnosis_sections(found))
+        page = page_of(found)
         assert "No more than this." in page or whole.sentence in page
         assert "The extension closes" not in page and "nan<" not in page and ">None<" not in page
         document = DiagnosisDocument.of(found).document
         assert document["verdict"] == verdict and document["gain"]["gap_closed"] is None and document["causes"] == []
-        assert diagnosis_text(found).startswith(found.sentence)
+        assert text_of(found).startswith(found.sentence)
 
 
 def test_sensor_names_carry_their_units() -> None:
@@ -179,7 +194,7 @@ def test_no_column_is_empty_and_no_two_candidates_are_called_alike() -> None:
     rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
     found = replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)), extended={}, extended_std={},
                     nominal_std=dict.fromkeys(whole.nominal, float("inf")))
-    sections = {s.title: s for s in diagnosis_sections(found, leg2(lever_arm=0.2))}
+    sections = {s.title: s for s in sections_of(replace(found, mechanism=leg2(lever_arm=0.2)))}
     named = [row[0] for row in sections["Candidates"].tables[0].rows]
     assert len(set(named)) == len(named) and "rotor_inertia, joint 1" in named
     (table,) = sections["Parameters"].tables
@@ -191,10 +206,10 @@ def test_the_lead_figure_shows_the_joint_of_the_cause() -> None:
     found = synthetic()
     for joint in (1, 2):
         moved = replace(found, causes=(replace(found.causes[0], joint=joint),))
-        (lead,) = [p for s in diagnosis_sections(moved) for p in s.pictures if p.leads]
+        (lead,) = [p for s in sections_of(moved) for p in s.pictures if p.leads]
         assert lead.caption.startswith(f"q{joint}_rad in run")
     unnamed = replace(found, causes=(), remainder=Remainder(1, "torque1", "q v"))
-    (lead,) = [p for s in diagnosis_sections(unnamed) for p in s.pictures if p.leads]
+    (lead,) = [p for s in sections_of(unnamed) for p in s.pictures if p.leads]
     assert lead.caption.startswith("q1_rad")
 
 
@@ -202,16 +217,39 @@ def test_a_caption_says_what_paper_shows_and_a_flat_signature_is_no_picture() ->
     found = synthetic()
     trace = found.traces[0]
     long = replace(trace, time_s=np.linspace(0.0, 20.0, trace.time_s.size))
-    captions = [p.caption for s in diagnosis_sections(replace(found, traces=(long,))) for p in s.pictures]
+    captions = [p.caption for s in sections_of(replace(found, traces=(long,))) for p in s.pictures]
     assert any(c.endswith("On paper, the first 12 of 20 s.") for c in captions)
     assert not any("12 s:" in c for c in captions)
     flat = replace(found.signatures[0], before=0.01 * found.signatures[0].curve)
-    section = next(s for s in diagnosis_sections(replace(found, signatures=(flat, found.signatures[1])))
+    section = next(s for s in sections_of(replace(found, signatures=(flat, found.signatures[1])))
                    if s.title == "Signature")
     assert len(section.pictures) == 1 and "absorb it" in section.notes[0]
 
 
 def test_the_text_has_the_corrected_parameters() -> None:
-    text = diagnosis_text(synthetic())
+    text = text_of(synthetic())
     assert "These shifts are their bias." in text and "corrected" in text
     assert re.search(r"beta1 +0\.1000 +\S+ \.\. \S+ +0\.1100", text)
+
+
+def test_text_and_page_of_a_file_are_those_of_the_result_without_its_curves(tmp_path: Path) -> None:
+    found = replace(synthetic(), mechanism=leg2(lever_arm=0.2), hold="linear")
+    made = DiagnosisDocument.of(found, model="leg2")
+    made.to_json(tmp_path / "d.json")
+    read = DiagnosisDocument.read(tmp_path / "d.json")
+    assert diagnosis_text(read) == diagnosis_text(made)
+    for name, kept in (("kept", found), ("read", None)):
+        write_diagnosis(tmp_path / f"{name}.html", read, kept)
+    whole, page = ((tmp_path / f"{name}.html").read_text() for name in ("kept", "read"))
+    assert "<h1>Diagnosis of leg2: cause named</h1>" in page and "multiples of what noise alone" in page
+    titles = [re.findall(r"<h2>(.*?)</h2>", one) for one in (whole, page)]
+    assert [t for t in titles[0] if t not in titles[1]] == [
+        "The mechanism", "Signature", "Simulation against measurement, before and after", "What can be told apart"]
+    assert all(f"<td data-label=\"{name}\"" in page for name in ("share", "corrected", "smallest detectable"))
+
+
+def test_two_rotors_are_told_apart_in_the_document() -> None:
+    whole = synthetic()
+    rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
+    found = DiagnosisDocument.of(replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)))).document
+    assert [(c["joint"], c.get("motor")) for c in found["candidates"][2:]] == [(None, 2), (None, None), (None, 1)]

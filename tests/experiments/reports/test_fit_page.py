@@ -12,12 +12,13 @@ from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
 from estimator.result import Finding, FitResult, RunAgreement
 from experiments.emulation.plant import LegBody
+from experiments.judge.headline import Headline
 from experiments.judge.numbers import estimates_of, number
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
-from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, render_page, typeset
+from experiments.reports.html import Picture, Section, Table, fold, render_page, typeset
 from tests.support.fits import document_of, synthetic_fit
 from tests.support.pages import Outside, allowed_script
 
@@ -59,7 +60,7 @@ def test_curves_go_into_the_page_whole_and_cannot_end_their_element() -> None:
 
 def test_contents_lead_to_every_section_and_the_verdict_stands_first() -> None:
     sections = [Section(title, ["words"]) for title in ("A & b", "C", "C")]
-    page = render_page("t", "summary", sections, verdict=VerdictBox("bad", "NOT TO BE USED", ["why"], ["Warning: <w>"]))
+    page = render_page("t", "summary", sections, verdict=Headline("bad", "NOT TO BE USED", ["why"], ["<w>"]))
     links = re.findall(r'<a href="#([^"]+)">', page)
     assert links == re.findall(r'<div class="body" id="([^"]+)">', page) and len(set(links)) == 3
     page = page[page.index("<body>"):]
@@ -78,8 +79,8 @@ def test_a_figure_that_leads_stands_at_the_head_and_nowhere_else() -> None:
 
 
 def test_folded_sections_show_their_headings_and_need_no_contents() -> None:
-    page = render_page("t", "", [Section("Open", ["seen"]), *fold([Section(name, ["hidden"]) for name in "ABC"]),
-                                 *fold([Section("Empty")])])
+    page = render_page("t", "", [Section("Open", ["seen"]), *fold(*(Section(name, ["hidden"]) for name in "ABC")),
+                                 *fold(Section("Empty"), None)])
     body = page[page.index("<body>"):]
     assert re.findall(r"<details><summary><h2>(.*?)</h2></summary>", body) == ["A", "B", "C"]
     assert "<nav" not in body and "<h2>Open</h2>" in body and "Empty" not in body
@@ -87,7 +88,7 @@ def test_folded_sections_show_their_headings_and_need_no_contents() -> None:
 
 def test_text_from_files_is_escaped() -> None:
     hostile = "<script>alert(1)</script>"
-    page = render_page(hostile, hostile, [Section(hostile, [hostile], [Table([hostile], [[hostile]], hostile)],
+    page = render_page(hostile, hostile, [Section(hostile, [hostile], [Table([hostile], [[hostile]], (), hostile)],
                                                   notes=[hostile])])
     assert "<script" not in page and page.count("&lt;script&gt;") == 9
 

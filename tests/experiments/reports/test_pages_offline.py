@@ -12,6 +12,7 @@ from daq.recording.plan import write_plan
 from daq.rig import load_rig
 from estimator.result import RunAgreement
 from experiments import cli
+from experiments.documents import DiagnosisDocument
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
 from experiments.judge.found_model import model_of
@@ -50,10 +51,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_page(out / "fit.html", "Fit of leg2: run1.mcap", fit_summary(document_of(result)),
                fit_sections(document_of(result), result))
     prepared = prepare([FIXTURES / "healthy.mcap"], load_rig(RIG))
-    write_diagnosis(out / "diagnosis.html", found, prepared, origin_of([FIXTURES / "healthy.mcap"]))
+    document = DiagnosisDocument.of(found, prepared.set_aside, prepared.setup.datasets, "leg2")
+    document.provenance = origin_of([FIXTURES / "healthy.mcap"])
+    write_diagnosis(out / "diagnosis.html", document, found)
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
-               [Section("What was hidden", ["Something."]), *diagnosis_sections(found),
+               [Section("What was hidden", ["Something."]), *diagnosis_sections(document, found),
                 truth_section(result.mechanism, estimates_of(result), truth),
                 *fit_sections(document_of(result), result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))

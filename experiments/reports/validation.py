@@ -7,74 +7,66 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import Dataset
 from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
-from experiments.console import text_table
 from experiments.documents import RunFit, Segment, ValidationDocument, finite
 from experiments.models import Model
-from experiments.provenance import origin_of
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
 from experiments.reports.horizons import horizons_section, horizons_text
-from experiments.reports.html import Picture, Section, Table, trust_box, write_page
-from experiments.reports.origin import origin_section
+from experiments.reports.html import Picture, Section, Table, fold
+from experiments.reports.origin import write_result
 from experiments.reports.walk_ahead import walk_section, walk_text
 
 FIGURE_SECONDS = 20.0
 PICTURE_SECONDS = 10.0
-FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
 INITIAL = "Initial states, estimated from the readings by the model's smoother:"
 
 
-def state_rows(found: Sequence[Segment]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one row a segment, its start in the run's own time and every signal there."""
-    return ["run", "start [s]", *found[0].initial_state], [
-        [one.run, "" if one.start_s is None else f"{one.start_s:.3f}",
-         *(f"{finite(x):.5g}" for x in one.initial_state.values())] for one in found]
+def state_table(found: Sequence[Segment]) -> Table:
+    """One row a segment: its start in the run's own time and every signal there."""
+    header = ["run", "start [s]", *found[0].initial_state]
+    return Table(header, [[one.run, "" if one.start_s is None else f"{one.start_s:.3f}",
+                           *(f"{finite(x):.5g}" for x in one.initial_state.values())] for one in found],
+                 range(1, len(header)), INITIAL.removesuffix(":"))
 
 
-def validation_rows(found: Sequence[Segment]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one row a run, SSE and RMSE of every signal."""
+def segment_table(found: Sequence[Segment], caption: str = "") -> Table:
+    """One row a segment: SSE and RMSE of every signal."""
     signals = list(found[0].rmse)
     header = ["run", "seconds"] + [f"{kind} {name}" for name in signals for kind in ("SSE", "RMSE")]
-    return header, [[one.run, f"{one.horizon_s:.1f}",
-                     *(f"{finite(values[name]):.4g}" for name in signals
-                       for values in (one.summed_squared_error, one.rmse))] for one in found]
+    return Table(header, [[one.run, f"{one.horizon_s:.1f}",
+                           *(f"{finite(values[name]):.4g}" for name in signals
+                             for values in (one.summed_squared_error, one.rmse))] for one in found],
+                 range(1, len(header)), caption)
 
 
-def errors_text(found: Sequence[Segment]) -> str:
-    """The same as text."""
-    header, rows = validation_rows(found)
-    return text_table(header, rows, right=set(range(1, len(header))))
-
-
-def fit_rows(found: Sequence[RunFit]) -> list[list[str]]:
-    """One row of FIT_HEADER a sensor of a run; the band as its rms half width, in the sensor's unit."""
+def fit_table(found: Sequence[RunFit]) -> Table:
+    """One row a sensor of a run; the band as its rms half width, in the sensor's unit."""
     def share(value: float | None) -> str:
         return f"{value:.1f} %" if value is not None and np.isfinite(value) else "diverged"
 
-    return [[one.run, name, share(value), share(one.short[name]),
-             "" if name not in one.band95 else f"+-{finite(one.band95[name]):.2g}"]
-            for one in found for name, value in one.whole.items()]
+    return Table(["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"], [
+        [one.run, name, share(value), share(one.short[name]),
+         "" if name not in one.band95 else f"+-{finite(one.band95[name]):.2g}"]
+        for one in found for name, value in one.whole.items()], {2, 3, 4},
+        "Fit: 100 % is exact, 0 % no better than the mean; the band is the rms of its half width, in the sensor's unit")
 
 
 def validation_text(found: ValidationDocument) -> str:
     """Errors of whole runs, as `legid validate` prints them."""
     unit = unit_of(found.runs[0].rmse)
-    lines = [errors_text(found.runs), "",
-             text_table(FIT_HEADER, fit_rows(found.fit_percent), right={2, 3, 4}), "",
+    lines = [segment_table(found.runs).text, "", fit_table(found.fit_percent).text, "",
              "fit: 100 % is exact, 0 % no better than the mean. Band: change of the simulation by the parameters' "
              "uncertainty; a much larger error means that the model lacks something.",
-             f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
-    state_header, states = state_rows(found.runs)
-    lines += ["", INITIAL, text_table(state_header, states, right=set(range(1, len(state_header))))]
+             f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s.",
+             "", INITIAL, state_table(found.runs).text]
     lines += [f"{one.run}: the simulation diverged" for one in found.runs if one.diverged]
     return "\n".join(lines)
 
 
 def whole_validation_text(found: ValidationDocument) -> str:
     """Text after `legid validate`."""
-    return "\n".join([found.trust.sentence, *found.trust.reasons, "", validation_text(found),
+    return "\n".join([found.trust.text, "", validation_text(found),
                       horizons_text(found.horizons), *([walk_text(found.walk)] if found.walk else [])])
 
 
@@ -95,23 +87,19 @@ def validation_picture(validation: Validation) -> str:
     return plot_lines(validation.time_s[part] - validation.time_s[0], lines, label)
 
 
-def validation_section(found: ValidationDocument, table: PredictionTable) -> Section:
-    """Table of all runs, figures of the first in `table`, with their bands where it has them. The joint with the worst
-    fit leads the page."""
-    header, rows = validation_rows(found.runs)
-    state_header, states = state_rows(found.runs)
+def validation_section(found: ValidationDocument, table: PredictionTable | None) -> Section:
+    """Table of all runs, and figures of the first in `table`, with their bands where it has them. The joint with the
+    worst fit leads the page."""
     unit = unit_of(found.runs[0].rmse)
     notes = [f"{one.run}: the simulation diverged." for one in found.runs if one.diverged]
-    tables = [Table(FIT_HEADER, fit_rows(found.fit_percent), "Fit: 100 % is exact, 0 % no better than the mean; the "
-                    "band is the rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
-              Table(header, rows, right=frozenset(range(1, len(header)))),
-              Table(state_header, states, INITIAL.removesuffix(":"), frozenset(range(1, len(state_header))))]
+    tables = [fit_table(found.fit_percent), segment_table(found.runs), state_table(found.runs)]
     return Section(
         "Free-run simulation against validation data",
         ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "
          "the fit has not seen test the model. "
          f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
-         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, _pictures(found, table), notes, folded=True)
+         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, _pictures(found, table) if table else (),
+        notes, folded=True)
 
 
 def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture]:
@@ -140,15 +128,16 @@ def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture
     return pictures
 
 
-def write_validation(path: Path | str, found: ValidationDocument, table: PredictionTable, model: Model, where: str,
-                     runs: Sequence[Dataset]) -> None:
-    """Write the page of a validation of `model`, which `where` names, on `runs`. Raises `InputError` where that place
-    cannot be written."""
+def write_validation(path: Path | str, found: ValidationDocument, where: str, model: Model | None = None,
+                     table: PredictionTable | None = None) -> None:
+    """Write the page of a validation of the model that `where` names, with the motion of `table` where that is known.
+
+    Raises `InputError` where that place cannot be written.
+    """
     count = len(found.fit_percent)
-    origin = found.provenance or origin_of()
-    write_page(path, f"Validation of {where}",
-               f"{model.mechanism.model}, fitted by {model.provenance.method} to {', '.join(model.provenance.runs)}, "
-               f"simulated against {count} run{'s' * (count != 1)}.",
-               [validation_section(found, table), horizons_section(found.horizons),
-                *([walk_section(found.walk)] if found.walk else []), origin_section(origin, runs)], origin,
-               trust_box(found.trust))
+    fitted = "" if model is None else (f"{model.mechanism.model}, fitted by {model.provenance.method} to "
+                                       f"{', '.join(model.provenance.runs)}, ")
+    told = f"{fitted}simulated against {count} run{'s' * (count != 1)}."
+    write_result(path, found, f"Validation of {where}", f"{told[:1].upper() if model is None else told[:1]}{told[1:]}",
+                 fold(validation_section(found, table), horizons_section(found.horizons) if found.horizons else None,
+                      walk_section(found.walk) if found.walk else None))

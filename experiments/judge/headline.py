@@ -1,0 +1,58 @@
+"""`Headline`: what every result says first, in a text, on a page, in a notebook and in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from estimator import Verdict
+
+Level = Literal["good", "caution", "bad"]
+"""How far an answer can be relied on."""
+VERDICTS: dict[Verdict, tuple[Level, str]] = {
+    "none": ("good", "nothing beyond noise"), "named": ("good", "cause named"),
+    "partial": ("caution", "cause named, something is left"), "one_of": ("caution", "one of several causes"),
+    "unexplained": ("caution", "something is wrong, cause unknown"), "fit_failed": ("bad", "not possible")}
+"""Verdict of a diagnosis -> level of the answer, not of the leg, and its words."""
+CHANGES: dict[str, tuple[Level, str]] = {
+    "no_change": ("good", "No difference"), "named": ("caution", "Different: the cause is named"),
+    "partial": ("caution", "Different: part of the cause is named"),
+    "one_of": ("caution", "Different, by one of several causes"),
+    "changed_unexplained": ("bad", "Different, and no listed cause explains it"),
+    "fit_failed": ("bad", "No comparison is possible")}
+"""Verdict of a change, the gravest last."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The answer, what limits it, and the next step."""
+
+    level: Level
+    title: str
+    lines: Sequence[str] = ()
+    """The answer in sentences."""
+    warnings: Sequence[str] = ()
+    action: str = ""
+    """The next step; empty without one."""
+
+    @property
+    def told(self) -> list[str]:
+        """All of it, one line each."""
+        return [self.title, *self.lines, *(f"Warning: {text}" for text in self.warnings),
+                *([f"Next step: {self.action}"] if self.action else [])]
+
+
+def verdict_title(verdict: Verdict | None) -> str:
+    """The verdict of a diagnosis as a title; None is none."""
+    words = "no diagnosis" if verdict is None else VERDICTS[verdict][1]
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def answer_words(probability: float | None, in_library: float | None) -> list[str]:
+    """Sentence with the probability of an answer, and the same with its condition; empty where none is stated."""
+    if probability is None or in_library is None:
+        return []
+    alone = "above 0.99" if in_library > 0.99 else f"{in_library:.2f}"
+    return [f"Probability of this answer: {probability:.2f}, as on simulated legs; {alone} if the library has the true "
+            "causes."]
