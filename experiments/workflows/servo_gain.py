@@ -17,7 +17,7 @@ def scaled(result: FitResult, name: str, value: float) -> tuple[FitResult, float
     runs say one by one is multiplied by the gain of all.
     """
     k = result.mechanism.column(name)
-    known = float(result.beta[k])
+    known, value = float(result.beta[k]), float(value)  # a caller's may be one of numpy's, which no document holds
     if name in result.open_parameters or abs(known) < 2.0 * float(result.std[k]) or value / known <= 0.0:
         raise FitError(f"the runs do not determine {name} over the servo's gain ({known:.3g}, std {result.std[k]:.2g})"
                        ": give servo.gain, or another parameter")

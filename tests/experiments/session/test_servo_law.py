@@ -66,6 +66,9 @@ def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg
     low, high = told["servo_gain"]["ci95"]
     assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
+    rig = tmp_path / "rig.toml"
+    typed = legid.fit(legid.load([tmp_path / f"{r.name}.csv" for r in runs], rig), rig, fixed={"beta5": leg.beta()[4]})
+    assert typed.document["servo_gain"] == told["servo_gain"]  # a number of numpy's is one, too
     fixed, = (p for p in told["parameters"] if p["fixed"])
     assert (fixed["name"], fixed["value"], fixed["std"]) == ("beta5", pytest.approx(leg.beta()[4]), 0.0)
     same = fitted(tmp_path, [replace(r, name=f"again{r.name}") for r in runs], f"gain = {GAIN}\n")
