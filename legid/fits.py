@@ -13,6 +13,7 @@ from estimator import FitResult as Estimate
 from estimator import Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
+from experiments.judge import check_sound
 from experiments.provenance import Origin
 from experiments.reports import (
     PARAMETER_HEADER,
@@ -24,7 +25,7 @@ from experiments.reports import (
     write_fit,
 )
 from experiments.workflows import Fitted
-from legid.tables import Shown, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,6 +113,10 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         """Parameters that were given, not estimated."""
         return {p.name: finite(p.value) for p in self.parameters if p.fixed}
 
+    def check(self) -> None:
+        """Raises `WorkError` for a fit that did not converge, or that knows nothing."""
+        check_sound(self.estimate, for_model=False)
+
     def text(self) -> str:
         """Everything that `legid fit` prints."""
         return whole_fit_text(self)
@@ -125,10 +130,7 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
 
         What the data does not determine is NaN. Raises `WorkError` without pandas.
         """
-        return frame({"parameter": [p.name for p in self.parameters], "value": self.beta, "std": self.std,
-                      **dict(zip(("low", "high"), self.ci95().T)),
-                      "unit": [p.unit for p in self.parameters], "meaning": [p.meaning for p in self.parameters],
-                      "fixed": [p.fixed for p in self.parameters]}, "parameter")
+        return frame(columns(self.parameters, "parameter=name value std ci95 unit meaning fixed"), "parameter")
 
     def plot(self) -> Figure:
         """Sensors measured and as estimated, torques measured and modelled, over the first seconds.

@@ -70,6 +70,7 @@ from .run_agreement import agreement_lines as agreement_lines
 from .run_info import describe_csv as describe_csv
 from .run_info import describe_mcap as describe_mcap
 from .run_info import recorded_readings as recorded_readings
+from .run_list import RunLine as RunLine
 from .run_list import choose as choose
 from .run_list import list_runs as list_runs
 from .run_list import other_tables as other_tables
