@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import Any
 
 import legid
-from daq import InputError, WorkError
 from experiments import calibrate
 from experiments.cli.command import Argument, Command, argument
-
-if TYPE_CHECKING:
-    from daq import Rig
-    from daq.calibration import StillRecord
-    from daq.runs import RawRun
-    from experiments.calibrate import Outcome, Wanted
-    from experiments.models import Model
 
 SECONDS = {"imu": 60.0, "mount": 20.0, "encoder": 10.0, "pivot": 10.0, "shunt": 20.0, "imu-encoder": 60.0}
 """Length of a record from the devices."""
@@ -88,11 +79,11 @@ COMMAND = Command(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, say, calibrate.store."""
+    """Measure, say, store."""
+    given = {key: value for key, value in vars(args).items() if key in calibrate.Asked.__dataclass_fields__}
     if args.what == "all":
-        return _all(args)
-    rig = legid.load_rig(args.rig)
-    outcome = STEPS[args.what](args, rig)
+        return _all(args, given)
+    outcome = calibrate.MEASUREMENTS[args.what](calibrate.Asked(path=args.rig, **given), legid.load_rig(args.rig))
     print(outcome.text)
     for warning in outcome.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -100,138 +91,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _imu(args: argparse.Namespace, rig: Rig) -> Outcome:
-    from experiments.calibrate import imu as calibrating
-
-    records = _recorded(args.runs) if args.runs else _measured(args, rig)
-    gyro, accel = calibrating.calibrate(records, rig.mechanism.gravity_mps2)
-    left = {} if accel is None else {"accelerometer_bias": accel.residual_mps2}
-    return calibrate.Outcome(calibrating.calibration_text(gyro, accel),
-                             {"calibration": calibrating.calibration_values(gyro, accel)}, tolerances=left)
-
-
-def _encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
-    from experiments.calibrate import encoder_and_shunt as leg
-
-    model = _model(args)
-    if args.records is not None and args.records < 1:
-        raise InputError("--records", f"is {args.records}", "give 1 or more")
-    count = args.records or (1 if args.straight else leg.fewest_stops(model))
-    wishes = leg.straight_wishes(count) if args.straight else leg.hanging_wishes(count)
-    return leg.calibrate_knee(_records(args, rig, wishes), rig, args.straight, model)
-
-
-def _pivot(args: argparse.Namespace, rig: Rig) -> Outcome:
-    if args.records < 1:
-        raise InputError("--records", f"is {args.records}", "give 1 or more")
-    return calibrate.calibrate_pivot(_records(args, rig, calibrate.pivot_wishes(args.records), controller=False), rig)
-
-
-def _mount(args: argparse.Namespace, rig: Rig) -> Outcome:
-    model = _model(args)
-    return calibrate.calibrate_mount(_records(args, rig, calibrate.MOUNT_WISHES, controller=False), rig, model)
-
-
-def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
-    if args.weight is not None or args.arm is not None or args.weighted:
-        return _torque_constant(args, rig)
-    return calibrate.calibrate_shunt(_records(args, rig, calibrate.shunt_wishes()), rig)
-
-
-def _torque_constant(args: argparse.Namespace, rig: Rig) -> Outcome:
-    from estimator.calibration import Weight
-    from experiments.session import load_runs
-
-    for flag, value in (("--weight", args.weight), ("--arm", args.arm)):
-        if value is None or not 1e-4 <= value <= 100.0:
-            raise InputError(flag, f"is {value}", "give the weight's mass in kg and its arm in m")
-    for flag, value in (("--weight-error", args.weight_error), ("--arm-error", args.arm_error)):
-        if not 0.0 <= value <= 1.0:
-            raise InputError(flag, f"is {value}", "give half of the 95 % interval, 0 or more")
-    if not args.runs or not args.weighted:
-        raise InputError("RUN", "holds with the weight and without it are needed", "record both with a plan of legid "
-                         "excite --holds and give RUN... --weighted RUN...")
-    weight = Weight(args.weight, args.arm, args.weight_error, args.arm_error)
-    return calibrate.calibrate_torque_constant(load_runs(args.runs, rig), load_runs(args.weighted, rig), rig, weight)
-
-
-def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
-    if not args.runs and rig.devices.pivot is None:  # before a minute of swinging
-        raise InputError("imu-encoder", "needs the angle of the IMU's link, and the rig has no [devices.pivot]",
-                         "add that sensor, or give runs with q1_rad; legid calibrate imu needs none")
-    records = None if args.runs else _records(args, rig, calibrate.SWING_WISHES)
-    return calibrate.calibrate_by_encoder(records, args.runs, rig)
-
-
-STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "pivot": _pivot, "shunt": _shunt,
-         "imu-encoder": _imu_encoder}
-
-
-def _all(args: argparse.Namespace) -> int:
-    from functools import partial
-
-    from experiments.calibrate import walkthrough as walking
-
+def _all(args: argparse.Namespace, given: dict[str, Any]) -> int:
+    walking = calibrate.walkthrough
     does = {"encoder": walking.STRAIGHT} if args.straight else {}
     does |= {"imu": walking.SIX} if args.six_positions else {}
-    measure = {}
-    for step in walking.STEPS:
-        own = vars(args) | {"runs": [], "records": None, "self_test": False,
-                            "weight": None, "arm": None, "weighted": []}
-        own["seconds"] = args.seconds or SECONDS[step.name]
-        measure[step.name] = partial(STEPS[step.name], argparse.Namespace(**own))
+    measure = {step.name: partial(calibrate.MEASUREMENTS[step.name], calibrate.Asked(
+        path=args.rig, **given | {"seconds": args.seconds or SECONDS[step.name]})) for step in walking.STEPS}
     print(walking.walk(args.rig, measure, args.dry_run, does))
     return 0
-
-
-def _records(args: argparse.Namespace, rig: Rig, wishes: Sequence[Wanted], controller: bool = True) -> list[RawRun]:
-    """From the files given, else from the devices."""
-    if args.runs:
-        return calibrate.read_records(args.runs)
-    text = Path(args.rig).read_text(encoding="utf-8")
-    return calibrate.record_off(rig, text, args.rig, wishes, args.seconds, controller)
-
-
-def _model(args: argparse.Namespace) -> Model | None:
-    """The identified leg, where one is given."""
-    from experiments.models import load_model
-
-    if args.model is None:
-        return None
-    model = load_model(args.model)
-    if model.mechanism.model != "leg2":
-        raise InputError(args.model, f"is a model of {model.mechanism.model}", "give that of a leg2")
-    return model
-
-
-def _recorded(paths: Sequence[str]) -> list[StillRecord]:
-    """Still records from run files."""
-    from daq.calibration import still_record
-    from daq.runs import read_run
-
-    if len(paths) not in (1, calibrate.POSITIONS):
-        raise InputError("RUN", f"{len(paths)} files given", "give one still record, or six for six positions")
-    return [still_record(read_run(path)) for path in paths]
-
-
-def _measured(args: argparse.Namespace, rig: Rig) -> list[StillRecord]:
-    """Still records from the chip."""
-    from experiments.rig import open_imu
-
-    if rig.devices.imu is None:
-        raise InputError(args.rig, "has no [devices.imu]", "describe the IMU, or give records as RUN")
-    records = []
-    with open_imu(rig.devices.imu, args.rig) as imu:
-        if args.self_test:
-            words, passed = calibrate.self_test_text(imu.bus, rig.devices.imu)
-            print(words)
-            if not passed:
-                raise WorkError("the IMU's self-test failed; the chip is damaged, or it moved meanwhile")
-            imu.open()
-        for position in range(calibrate.POSITIONS if args.six_positions else 1):
-            if args.six_positions:
-                calibrate.answer(f"position {position + 1} of {calibrate.POSITIONS}: lay the chip on another face, "
-                                 "then press Enter ")
-            print(f"keep still for {args.seconds:g} s", flush=True)
-            records.append(calibrate.record_still(imu, args.seconds, f"record {position + 1}"))
-    return records
