@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from daq.runs import write_csv
 
     with busy("simulating"), warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always", UserWarning)
         data = legid.simulate(args.model, args.plan, args.rate, args.start, args.noise_seed, args.rig)
     rows = write_csv(data, args.out)
     for note in notes:
