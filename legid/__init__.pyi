@@ -19,7 +19,6 @@ from .api import multisine as multisine
 from .api import read_plan as read_plan
 from .api import record as record
 from .api import save_model as save_model
-from .api import simulate as simulate
 from .api import tune as tune
 from .api import validate as validate
 from .api import watch as watch
@@ -37,11 +36,16 @@ from .listings import Gains as Gains
 from .listings import Guess as Guess
 from .listings import Tuning as Tuning
 from .results import Dataset as Dataset
+from .run_lists import Fits as Fits
+from .run_lists import RunList as RunList
 from .tools import effects as effects
 from .tools import excite as excite
 from .tools import export as export
+from .tools import fit_each as fit_each
 from .tools import gains as gains
 from .tools import guess as guess
+from .tools import list_runs as list_runs
 from .tools import read as read
+from .tools import simulate as simulate
 from .validations import Validation as Validation
 from .validations import Validations as Validations

@@ -16,14 +16,12 @@ done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast, overload
 
 import numpy as np
-from msgspec import structs
 
 from daq import Dataset as PlainDataset
 from daq import InputError, Rig, WorkError, load_rig
@@ -37,10 +35,9 @@ from estimator.prediction import HORIZONS_S
 from experiments.console import busy, command_line, work_bar
 from experiments.documents import Pair, Step
 from experiments.excite import random_multisine
-from experiments.models import Model, load_model, range_note_of, save_model
-from experiments.provenance import Source, origin_of
-from experiments.reports import origin_from, source_of
-from experiments.rig import confirm_estop, confirm_motion
+from experiments.models import Model, load_model, save_model
+from experiments.provenance import Source, origin_of, source_of
+from experiments.rig import ChosenRig, confirm_estop, confirm_motion
 from experiments.session import load_runs, prepare
 from experiments.workflows import (
     SessionPair,
@@ -53,7 +50,6 @@ from experiments.workflows import (
     find_differences,
     fit_runs,
     reference_values,
-    simulate_run,
     tune_runs,
     validate_in_mujoco,
     validate_prepared,
@@ -64,9 +60,20 @@ from legid.comparisons import Comparison
 from legid.diagnoses import Diagnosis
 from legid.fits import FitResult
 from legid.found_models import model_of_diagnosis, model_of_fit
-from legid.given import RigLike, Runs, as_model, as_rig, as_runs, earlier_of, runs_and_rig, stored_rig
+from legid.given import (
+    GivenModel,
+    ModelLike,
+    RigLike,
+    Runs,
+    as_model,
+    as_rig,
+    as_runs,
+    earlier_of,
+    runs_and_rig,
+    stored_rig,
+)
 from legid.listings import Tuning
-from legid.results import Dataset, sources_of
+from legid.results import Dataset, origin_from, sources_of
 from legid.validations import Validation, Validations
 
 if TYPE_CHECKING:
@@ -75,7 +82,7 @@ if TYPE_CHECKING:
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
            "Investigation", "Model", "Plan", "Recording", "Rig", "Sessions", "Tuning", "Validation", "Validations",
            "Watching", "WorkError", "compare", "compare_sessions", "diagnose", "fit", "investigate", "load",
-           "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model", "simulate", "tune",
+           "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model", "tune",
            "validate", "watch", "write_plan"]
 
 multisine = random_multisine
@@ -107,9 +114,9 @@ def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, da
     are wanted. Raises `InputError` naming file, line and column.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
-    known = stored_rig(paths) if rig is None else as_rig(rig)
-    found = tuple(Dataset.of(data, known, source_of(path))
-                  for path, data in zip(paths, load_runs(paths, known, damaged), strict=True))
+    known, sources = stored_rig(paths) if rig is None else as_rig(rig), [source_of(path) for path in paths]
+    found = tuple(Dataset.of(data, known.rig, source, known.source)
+                  for source, data in zip(sources, load_runs(paths, known.rig, damaged), strict=True))
     return found[0] if isinstance(runs, Path | str) else found
 
 
@@ -133,12 +140,12 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     the data cannot answer.
     """
     given, known = runs_and_rig(runs, rig)
-    found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
-    return FitResult.made_from(found, given, origin_from(sources_of(given)))
+    found = fit_runs(given, known.rig, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
+    return FitResult.made_from(found, given, origin_from(sources_of(given), known.source))
 
 
-def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
-             against: Model | Path | str | None = None, horizons_s: Sequence[float] | None = None,
+def validate(model: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+             against: ModelLike | None = None, horizons_s: Sequence[float] | None = None,
              simulator: Literal["legid", "mujoco"] = "legid") -> Validations:
     """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
 
@@ -152,29 +159,29 @@ def validate(model: Model | Path | str, runs: Runs, rig: RigLike | None = None, 
     effects. Raises `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
     given, known = runs_and_rig(runs, rig)
-    one, where = as_model(model, "the model")
-    other, of_other = (None, "") if against is None else as_model(against, "the other model")
-    if other is not None and other.mechanism.model != one.mechanism.model:
-        raise InputError(of_other, f"is a {other.mechanism.model}, not a {one.mechanism.model}",
+    one, where, source = as_model(model, "the model")
+    other = None if against is None else as_model(against, "the other model")
+    if other is not None and other.model.mechanism.model != one.mechanism.model:
+        raise InputError(other.where, f"is a {other.model.mechanism.model}, not a {one.mechanism.model}",
                          "give a model of the same mechanism")
-    prepared = prepare(given, known, sensors=sensors, beta=np.array(one.beta))
+    prepared = prepare(given, known.rig, sensors=sensors, beta=np.array(one.beta))
     files = sources_of(given)
-    found = validate_prepared(one, prepared, where, files, other, _lengths(horizons_s), True)
+    found = validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s), True)
     if simulator == "mujoco":
         found = validate_in_mujoco(one, found, where)
-    return Validations.made_from(found, one, where, origin_from(files))
+    return Validations.made_from(found, one, where, origin_from(files, known.source, source))
 
 
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: ModelLike | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int | None = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model | Path | str) -> Change: ...
-def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | Path | str | None = None,
+def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | ModelLike) -> Change: ...
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: ModelLike | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int | None = 1,
              material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
-             against: Runs | Model | Path | str | None = None) -> Diagnosis | Change:
+             against: Runs | ModelLike | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good.
@@ -196,30 +203,35 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     given, known = runs_and_rig(runs, rig)
     if against is not None:
         return _change_since(given, against, known)
-    before, where = (None, "") if reference is None else as_model(reference, "reference")
-    prepared = prepare(given, with_reference_terms(known, before), fixed=fixed)
-    values = None if before is None else reference_values(before, where, prepared.setup)
+    before = None if reference is None else as_model(reference, "reference")
+    prepared = prepare(given, with_reference_terms(known.rig, before and before.model), fixed=fixed)
+    values = None if before is None else reference_values(before.model, before.where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
-    return Diagnosis.made_from(found, prepared, given, known, origin_from(sources_of(given)))
+    return Diagnosis.made_from(found, prepared, given, known.rig, origin_from(
+        sources_of(given), known.source, before and before.source, seed=seed))
 
 
-def _change_since(given: tuple[PlainDataset, ...], against: Runs | Model | Path | str, rig: Rig) -> Change:
+def _change_since(given: tuple[PlainDataset, ...], against: Runs | ModelLike, known: ChosenRig) -> Change:
     """Change of `given` since the runs `against`, or those that a model was made from."""
-    earlier, where, before = earlier_of(against)
-    found = find_change_since(given, earlier, where, rig) if isinstance(earlier, Model) else find_change(
-        given, earlier, rig)
-    made = Change.of(found.change, found.set_aside, before, found.datasets)
-    made.provenance = structs.replace(origin_from(sources_of(given)),
-                                      model=next(iter(before), None) if where else None)
+    earlier, files = earlier_of(against)
+    found = find_change_since(given, earlier.model, earlier.where, known.rig) if isinstance(earlier, GivenModel) else \
+        find_change(given, earlier, known.rig)
+    made = Change.of(found.change, found.set_aside, files, found.datasets)
+    made.provenance = origin_from(sources_of(given), known.source, _model_in(earlier))
     return made
 
 
+def _model_in(earlier: tuple[PlainDataset, ...] | GivenModel) -> Source | None:
+    """File of the model among what runs are held against."""
+    return earlier.source if isinstance(earlier, GivenModel) else None
+
+
 @overload
-def compare(a: Model, b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+def compare(a: ModelLike, b: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
             names: tuple[str, str] = ("A", "B"), horizons_s: Sequence[float] | None = None) -> Comparison: ...
 @overload
 def compare(a: Runs, b: Runs, *, rig: RigLike | None = None, names: tuple[str, str] = ("A", "B")) -> Sessions: ...
-def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | None = None,
+def compare(a: ModelLike | Runs, b: ModelLike | Runs, runs: Runs = (), rig: RigLike | None = None,
             sensors: str | None = None, names: tuple[str, str] = ("A", "B"),
             horizons_s: Sequence[float] | None = None) -> Comparison | Sessions:
     """Two models on `runs` that neither was fitted to: parameters, free-run errors over horizons, which is better.
@@ -232,13 +244,15 @@ def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | No
     another mechanism than the rig's and for runs that do not belong together, `FitError` where no motion can be
     estimated.
     """
-    if not isinstance(a, Model) and not isinstance(b, Model):
+    if not isinstance(a, Model | Path | str) and not isinstance(b, Model | Path | str):
         return compare_sessions([a, b], names, rig)
-    if not isinstance(a, Model) or not isinstance(b, Model):
+    if not isinstance(a, Model | Path | str) or not isinstance(b, Model | Path | str):
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
+    (first, _, of_a), (second, _, of_b) = as_model(a, names[0]), as_model(b, names[1])
     given, known = runs_and_rig(runs, rig)
-    found = compare_models((a, b), names, given, known, sensors, _lengths(horizons_s))
-    return Comparison.made_from(found, given, a.mechanism.model, origin_from(sources_of(given)))
+    found = compare_models((first, second), names, given, known.rig, sensors, _lengths(horizons_s))
+    return Comparison.made_from(found, given, first.mechanism.model, origin_from(
+        sources_of(given), known.source, models=[one for one in (of_a, of_b) if one is not None]))
 
 
 def compare_sessions(sessions: Sequence[Runs], names: Sequence[str], rig: RigLike | None = None,
@@ -250,13 +264,13 @@ def compare_sessions(sessions: Sequence[Runs], names: Sequence[str], rig: RigLik
     """
     given, known = [as_runs(own) for own in sessions], runs_and_rig(sessions[0], rig)[1]
     count = len(given) - 1
-    jobs = [SessionPair(given[0], own, (names[0], name), known, count) for name, own in zip(names[1:], given[1:])]
+    jobs = [SessionPair(given[0], own, (names[0], name), known.rig, count) for name, own in zip(names[1:], given[1:])]
     with work_bar("comparing", count, "session") as done:
         found = find_differences(jobs, choose_executor(1 if count == 1 else workers, cluster), done)
     every = [run for own in given for run in own]
     made = Sessions.of([Pair.of(one.change, job.names) for job, one in zip(jobs, found)],
                        [run for one in found for run in one.set_aside], every)
-    made.provenance = origin_from(sources_of(every))
+    made.provenance = origin_from(sources_of(every), known.source)
     return made
 
 
@@ -271,9 +285,10 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = stored_rig(paths) if rig is None else as_rig(rig)
-    found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None), fixed)
+    origin = origin_from([source_of(path) for path in paths], known.source)
+    found = tune_runs(paths, known.rig, sensors, damaged, progress or (lambda what, share: None), fixed)
     made = found.as_document(Tuning)
-    made.provenance = origin_from(tuple(map(source_of, paths)))
+    made.provenance = origin
     return made
 
 
@@ -292,9 +307,9 @@ def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs |
                                   found.provenance or None)
         return as_reference(made, found.prepared)
     given, known = runs_and_rig(() if runs is None else runs, rig)
-    setup = prepare(given, known).setup
+    setup = prepare(given, known.rig).setup
     return model_of_fit(found, setup, given) if isinstance(found, PlainFit) else \
-        model_of_diagnosis(found, setup, known, given)
+        model_of_diagnosis(found, setup, known.rig, given)
 
 
 def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
@@ -312,7 +327,7 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
     return Recording(load(out, rig), report, tuple(warnings))
 
 
-def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | Model | Path | str,
+def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | ModelLike,
           rig: RigLike | None = None, false_alarms: float = 0.1, damaged: bool = False,
           told: Callable[[Watching], None] = lambda found: None) -> Watching:
     """Every run, in the order given, tested for a change since the reference runs `against`, as `legid watch`.
@@ -329,15 +344,17 @@ def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | Mode
         raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
     if rig is None or isinstance(runs, PlainDataset):
         runs, rig = runs_and_rig(cast(Runs, runs), rig)  # which refuses a file
-    earlier, where, before = earlier_of(against)
+    known = as_rig(rig)
+    earlier, before = earlier_of(against)
+    reference, where = (earlier.model, earlier.where) if isinstance(earlier, GivenModel) else (earlier, "")
     with busy("learning the reference"):
-        watcher = watcher_of(earlier, where, as_rig(rig), false_alarms, damaged)
+        watcher = watcher_of(reference, where, known.rig, false_alarms, damaged)
     found = Watching.begun(watcher.test.reference.runs, false_alarms, before)
     files: tuple[Source, ...] = ()
     for run in runs:
         found.watched.append(watcher.watch(run))
         files += sources_of([run]) if isinstance(run, PlainDataset) else (source_of(run),)
-        found.provenance = structs.replace(origin_from(files), model=next(iter(before), None) if where else None)
+        found.provenance = origin_from(files, known.source, _model_in(earlier))
         told(found)
     return found
 
@@ -370,21 +387,6 @@ def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emul
     made = Investigation.of(done)
     made.provenance = origin_of([Path(out) / run for run in done.runs], source, seed=seed, command=command_line())
     return made
-
-
-def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,
-             noise_seed: int | None = None) -> Dataset:
-    """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
-
-    Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
-    noise levels. A `UserWarning` says where the motion leaves the range of the model's structure. Raises `InputError`
-    where the plan does not fit, `WorkError` where the motion diverges.
-    """
-    found = simulate_run(model, plan, "the model", rate_hz, start, noise_seed)
-    note = range_note_of(model, found)
-    if note:
-        warnings.warn(note, stacklevel=2)
-    return Dataset.of(found)
 
 
 def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq import WorkError
 from experiments.documents import (
     ChangeDocument,
     Differing,
     InvestigationDocument,
     SessionsDocument,
     WatchDocument,
-    finite,
 )
 from experiments.judge import Files
 from experiments.reports import (
@@ -28,7 +27,7 @@ from experiments.reports import (
     write_investigation,
     write_watch,
 )
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, columns, frame, html_table, or_inf, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +39,16 @@ class Change(Shown, ChangeDocument, kw_only=True):
 
     `Change.read(path)` gives one of a file.
     """
+
+    @property
+    def failed(self) -> bool:
+        """Whether no answer is possible; `sentence` says why."""
+        return self.verdict == "fit_failed"
+
+    def check(self) -> None:
+        """Raises `WorkError` for one that failed."""
+        if self.failed:
+            raise WorkError(self.sentence)
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid diagnose --against` prints; the next step names `files`."""
@@ -84,6 +93,16 @@ class Sessions(Shown, SessionsDocument, kw_only=True):
         """no_change, named, partial, one_of, changed_unexplained or fit_failed; of several pairs the gravest."""
         return self.worst.verdict
 
+    @property
+    def failed(self) -> bool:
+        """Whether no pair could be compared."""
+        return all(pair.verdict == "fit_failed" for pair in self.pairs)
+
+    def check(self) -> None:
+        """Raises `WorkError` for one that failed."""
+        if self.failed:
+            raise WorkError(self.pairs[0].sentence)
+
     def page(self, path: Path | str) -> None:
         """Write the page of `legid compare --html` of sessions. Raises `InputError`."""
         write_change(path, self)
@@ -110,21 +129,18 @@ class Sessions(Shown, SessionsDocument, kw_only=True):
 
 def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
     """`Change.to_frame` of one or of several."""
-    rows: list[tuple[Differing, tuple[object, ...]]]
+    rows: list[tuple[object, ...]]
     if what == "candidates":
-        names = ("effect", "joint", "size", "change", "low", "high", "smallest_detectable", "unit", "p_value")
-        rows = [(pair, (d.effect, d.joint, d.size_name, d.change, *map(finite, d.ci95 or (None, None)),
-                        inf if d.smallest_detectable is None else d.smallest_detectable, d.unit, d.p_value))
-                for pair in pairs for d in pair.candidates]
+        rows = [(pair.sides, one) for pair in pairs for one in pair.candidates]
+        table = columns(rows, "1.effect 1.joint size=1.size_name 1.change 1.ci95 1.smallest_detectable 1.unit "
+                              "1.p_value")
+        table["smallest_detectable"] = or_inf(table["smallest_detectable"])
     elif what == "causes":
-        names = ("effect", "kind", "joint", "size", "value", "low", "high", "unit", "p_value")
-        rows = [(pair, (c.effect, c.kind, c.joint, s.name, s.value, *map(finite, s.ci95), s.unit, c.p_value))
-                for pair in pairs for c in pair.causes for s in c.size]
+        rows = [(pair.sides, cause, size) for pair in pairs for cause in pair.causes for size in cause.size]
+        table = columns(rows, "1.effect 1.kind 1.joint size=2.name 2.value 2.ci95 2.unit 1.p_value")
     else:
         raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
-    ends = zip(("from", "to"), (0, 1)) if len(pairs) > 1 else ()
-    return frame({name: [pair.sides[k].name for pair, _ in rows] for name, k in ends}
-                 | {name: [cells[k] for _, cells in rows] for k, name in enumerate(names)})
+    return frame((columns(rows, "from=0.0.name to=0.1.name") if len(pairs) > 1 else {}) | table)
 
 
 def _html(found: Differing) -> str:
@@ -153,13 +169,8 @@ class Watching(Shown, WatchDocument, kw_only=True):
 
         Raises `WorkError` without pandas.
         """
-        worst = [one.worst for one in self.watched]
-        return frame({"run": [one.run for one in self.watched], "state": [one.state for one in self.watched],
-                      "seconds": [one.seconds for one in self.watched],
-                      "alarm_s": [None if one.alarm is None else one.alarm.end_s for one in self.watched],
-                      "effect": [None if block is None else block.effect for block in worst],
-                      "joint": [None if block is None else block.joint for block in worst],
-                      "per_hour": [None if block is None else block.per_hour for block in worst]}, "run")
+        return frame(columns(self.watched, "run state seconds alarm_s=alarm.end_s worst.effect worst.joint "
+                             "worst.per_hour"), "run")
 
     def plot(self) -> Figure:
         """The test over the runs, with its threshold."""
@@ -185,6 +196,11 @@ class Investigation(Shown, InvestigationDocument, kw_only=True):
         """Verdict of the last diagnosis; None without one."""
         return None if self.answer is None else self.answer.verdict
 
+    def check(self) -> None:
+        """Raises `WorkError` for one that failed."""
+        if self.ending == "failed":
+            raise WorkError(self.why)
+
     def page(self, path: Path | str) -> None:
         """Write the journal as a page. Raises `InputError`."""
         write_investigation(path, self)
@@ -195,10 +211,7 @@ class Investigation(Shown, InvestigationDocument, kw_only=True):
         Raises `WorkError` without pandas.
         """
         rows = [(k, one, step.after) for k, step in enumerate(self.steps, 1) for one in step.experiments]
-        return frame({"run": [one.run for _, one, _ in rows], "step": [k for k, _, _ in rows],
-                      "kind": [one.kind for _, one, _ in rows], "seconds": [one.seconds for _, one, _ in rows],
-                      "peak_nm": [one.peak_nm for _, one, _ in rows],
-                      "verdict": [None if found is None else found.verdict for _, _, found in rows]}, "run")
+        return frame(columns(rows, "1.run step=0 1.kind 1.seconds 1.peak_nm 2.verdict"), "run")
 
     def plot(self) -> Figure:
         """Held-out error of the nominal model and of every explanation, over the steps.

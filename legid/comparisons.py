@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from daq import Dataset
-from experiments.documents import ComparisonDocument, finite
+from experiments.documents import ComparisonDocument
 from experiments.judge import Comparison as Found
 from experiments.judge import horizon_text
 from experiments.provenance import Origin
 from experiments.reports import comparison_text, write_comparison
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, columns, frame, html_table, or_inf, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,20 +52,12 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
         A horizon of infinity is a whole segment. Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
         if what == "parameters":
-            rows = self.parameters
-            values = {name: [np.nan if one is None else one.value for one in some]
-                      for name, some in (("a", [p.a for p in rows]), ("b", [p.b for p in rows]))}
-            return frame({"parameter": [p.name for p in rows], **values, "z": [p.z for p in rows],
-                          "unit": [p.unit for p in rows], "meaning": [p.meaning for p in rows]}, "parameter")
+            return frame(columns(self.parameters, "parameter=name a=a.value b=b.value z unit meaning"), "parameter")
         if what != "errors":
             raise ValueError(f"{what!r} is neither 'errors' nor 'parameters'")
-        intervals = [e.ratio_ci95 or (np.nan, np.nan) for e in self.errors]
-        return frame({"horizon_s": [e.length_s for e in self.errors], "column": [e.column for e in self.errors],
-                      "a": [np.inf if e.a is None else e.a for e in self.errors],
-                      "b": [np.inf if e.b is None else e.b for e in self.errors],
-                      "ratio": [finite(e.ratio) for e in self.errors],
-                      "low": [low for low, _ in intervals], "high": [high for _, high in intervals],
-                      "better": [e.better or "" for e in self.errors]})
+        table = columns(self.errors, "horizon_s=length_s column a b ratio ratio_ci95 better")
+        return frame(table | {"a": or_inf(table["a"]), "b": or_inf(table["b"]),
+                              "better": [better or "" for better in table["better"]]})
 
     def plot(self) -> Figure:
         """The error of B over that of A at every horizon and sensor, with its 95 % interval."""

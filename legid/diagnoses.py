@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from daq import Dataset, Rig, WorkError
 from estimator.diagnosis import Diagnosis as Details
-from experiments.documents import DiagnosisDocument, finite
+from experiments.documents import DiagnosisDocument
 from experiments.judge import Files
 from experiments.provenance import Origin
 from experiments.reports import (
@@ -21,7 +20,7 @@ from experiments.reports import (
     write_diagnosis,
 )
 from experiments.session import Prepared
-from legid.tables import Shown, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, html_table, kept_with, or_inf, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,6 +77,16 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         """The rig of these runs."""
         return self._made().rig
 
+    @property
+    def failed(self) -> bool:
+        """Whether no answer is possible; `sentence` says why."""
+        return self.verdict == "fit_failed"
+
+    def check(self) -> None:
+        """Raises `WorkError` for one that failed."""
+        if self.failed:
+            raise WorkError(self.sentence)
+
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid diagnose` prints. The next step names `files`."""
         return diagnosis_text(self, files)
@@ -96,18 +105,12 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
         if what == "candidates":
-            names = ("effect", "joint", "score", "p_value", "size", "unit")
-            return frame({**{name: [getattr(c, name) for c in self.candidates] for name in names},
-                          "smallest_detectable": [inf if c.smallest_detectable is None else c.smallest_detectable
-                                                  for c in self.candidates]})
+            table = columns(self.candidates, "effect joint score p_value size unit smallest_detectable")
+            return frame(table | {"smallest_detectable": or_inf(table["smallest_detectable"])})
         if what != "causes":
             raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
         rows = [(c, s) for c in self.causes for s in c.size]
-        return frame({"effect": [c.effect for c, _ in rows], "joint": [c.joint for c, _ in rows],
-                      "size": [s.name for _, s in rows], "value": [s.value for _, s in rows],
-                      "low": [finite(s.ci95[0]) for _, s in rows],
-                      "high": [finite(s.ci95[1]) for _, s in rows],
-                      "unit": [s.unit for _, s in rows], "p_value": [c.p_value for c, _ in rows]})
+        return frame(columns(rows, "0.effect 0.joint size=1.name 1.value 1.ci95 1.unit 0.p_value"))
 
     def plot(self) -> Figure:
         """Free-run errors before and after; below, the residual of each cause over its natural variable.
@@ -116,8 +119,7 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
         """
         from legid.figures import diagnosis_figure
 
-        if self.verdict == "fit_failed":
-            raise WorkError(self.sentence)
+        self.check()
         return diagnosis_figure(self.details)
 
     def __str__(self) -> str:

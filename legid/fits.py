@@ -13,10 +13,11 @@ from estimator import FitResult as Estimate
 from estimator import Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
+from experiments.judge import check_sound
 from experiments.provenance import Origin
 from experiments.reports import agreement_lines, parameter_table, samples_text, whole_fit_text, write_fit
 from experiments.workflows import Fitted
-from legid.tables import Shown, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,6 +105,10 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         """Parameters that were given, not estimated."""
         return {p.name: finite(p.value) for p in self.parameters if p.fixed}
 
+    def check(self) -> None:
+        """Raises `WorkError` for a fit that did not converge, or that knows nothing."""
+        check_sound(self.estimate, for_model=False)
+
     def text(self) -> str:
         """Everything that `legid fit` prints."""
         return whole_fit_text(self)
@@ -120,10 +125,7 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
 
         What the data does not determine is NaN. Raises `WorkError` without pandas.
         """
-        return frame({"parameter": [p.name for p in self.parameters], "value": self.beta, "std": self.std,
-                      **dict(zip(("low", "high"), self.ci95().T)),
-                      "unit": [p.unit for p in self.parameters], "meaning": [p.meaning for p in self.parameters],
-                      "fixed": [p.fixed for p in self.parameters]}, "parameter")
+        return frame(columns(self.parameters, "parameter=name value std ci95 unit meaning fixed"), "parameter")
 
     def plot(self) -> Figure:
         """Sensors measured and as estimated, torques measured and modelled, over the first seconds.

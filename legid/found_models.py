@@ -10,9 +10,9 @@ from estimator.diagnosis import Diagnosis
 from experiments.judge import check_sound, diagnosed_model, model_of
 from experiments.models import Model
 from experiments.provenance import Origin
-from experiments.reports import model_with_origin, origin_from
+from experiments.reports import model_with_origin
 from experiments.session import Setup
-from legid.results import sources_of
+from legid.results import origin_from, sources_of
 
 
 def model_of_fit(fit: FitResult, setup: Setup, runs: Sequence[Dataset], origin: Origin | None = None) -> Model:

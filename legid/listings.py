@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from daq import Column, write_file
 from daq.recording import Plan
+from experiments.console import write_json
 from experiments.documents import TuningDocument
 from experiments.exchange import Guess as PlainGuess
 from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
 from experiments.models import Gains as PlainGains
 from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
+from experiments.provenance import Origin
 from experiments.reports import (
     GUESS_HEADER,
     TUNING_HEADER,
@@ -23,10 +25,9 @@ from experiments.reports import (
     guess_verdict,
     tuning_rows,
     tuning_text,
-    write_document,
     write_page,
 )
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, columns, frame, html_table, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,21 +36,36 @@ if TYPE_CHECKING:
     from daq import Rig
 
 
+class Listing(Shown):
+    """A result whose JSON is made when it is asked for."""
+
+    provenance: Origin | None = None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The JSON as a dictionary, without its provenance."""
+        raise NotImplementedError
+
+    def to_json(self, path: Path | str) -> None:
+        """Write the JSON as the command's --json does. Raises `InputError`."""
+        made = self.document
+        write_json(path, made if self.provenance is None else {**made, "provenance": self.provenance})
+
+
 @dataclass(frozen=True, repr=False)
-class Gains(Shown):
+class Gains(Listing):
     """Feedforward and PD gains of a model, with their margins."""
 
     found: PlainGains
     tolerated: Tolerances
+    left_out: tuple[str, ...] = ()
+    """Effects of the model that have no part in it."""
+    provenance: Origin | None = None
 
     @property
     def document(self) -> dict[str, Any]:
         """`legid.gains/1`, as `legid gains --json` writes it."""
         return gains_document(self.found, self.tolerated)
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document)
 
     def to_frame(self) -> DataFrame:
         """One row a gain or margin: value, unit, meaning. Raises `WorkError` without pandas."""
@@ -110,17 +126,15 @@ class Guess(Shown):
 
 
 @dataclass(frozen=True, repr=False)
-class Effects(Shown):
+class Effects(Listing):
     """The library of effects that a diagnosis can name."""
+
+    provenance: Origin | None = None
 
     @property
     def document(self) -> dict[str, Any]:
         """`legid.effects/1`, as `legid effects --json` writes it."""
         return effects_document()
-
-    def to_json(self, path: Path | str) -> None:
-        """Write `document` with its provenance. Raises `InputError`."""
-        write_document(path, self.document)
 
     def to_frame(self) -> DataFrame:
         """One row an effect: meaning, sizes with units, whether by joint, what shows it best.
@@ -189,8 +203,7 @@ class Tuning(Shown, TuningDocument, kw_only=True):
         Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
         if what == "tried":
-            return frame({"entry": [one.entry for one in self.tried], "value": [one.value for one in self.tried],
-                          "error": [one.error for one in self.tried]})
+            return frame(columns(self.tried, "entry value error"))
         if what != "chosen":
             raise ValueError(f"{what!r} is neither 'chosen' nor 'tried'")
         return frame({name: [row[k] for row in tuning_rows(self)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from daq import WorkError
@@ -17,6 +18,9 @@ class Shown:
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
+
+    def check(self) -> None:
+        """Raises `WorkError` for a result that is no use, such as a fit that did not converge."""
 
 
 def kept_with(document: object, name: str, lack: str) -> Any:
@@ -35,6 +39,35 @@ def frame(columns: Mapping[str, Any], index: str | None = None) -> DataFrame:
         raise WorkError('to_frame() needs the package pandas; install it: pip install "legid[notebook]"') from None
     table = DataFrame(dict(columns))
     return table if index is None else table.set_index(index)
+
+
+def columns(rows: Sequence[Any], keys: str) -> dict[str, list[Any]]:
+    """Values of each of `keys`, with spaces between them, in `rows`: structs of a document, or tuples of such.
+
+    `a.b` is the key b of the struct below a, or of the struct at the place a of a tuple; None where there is none.
+    `name=key` calls it otherwise, an interval gives the columns `low` and `high`.
+    """
+    found: dict[str, list[Any]] = {}
+    for key in keys.split():
+        name, _, path = key.rpartition("=")
+        values = [_value(row, path) for row in rows]
+        if path.endswith("ci95"):
+            ends = [(None, None) if pair is None else pair for pair in values]
+            found |= {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
+        else:
+            found[name or path.rpartition(".")[2]] = values
+    return found
+
+
+def _value(row: Any, path: str) -> Any:
+    for part in path.split("."):
+        row = None if row is None else row[int(part)] if part.isdecimal() else getattr(row, part)
+    return row
+
+
+def or_inf(values: Sequence[float | None]) -> list[float]:
+    """The numbers, infinity for null: an error that diverged, a change that no run can show."""
+    return [inf if value is None else value for value in values]
 
 
 def html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

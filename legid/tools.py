@@ -1,17 +1,22 @@
-"""Functions around a fit: other programs' files in, gains of a model, the library of effects, torque plans."""
+"""Functions around a fit: other programs' files in, lists, fits one by one, what a model gives: gains, plans, runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from daq import Column, InputError, Rig
+from daq import Column, InputError
 from daq import Dataset as PlainDataset
+from daq.recording import Plan
+from estimator import Method
+from experiments.console import work_bar
 from experiments.exchange import (
     apply_map,
     check_map,
@@ -25,14 +30,32 @@ from experiments.exchange import (
     require_scales,
 )
 from experiments.excite import Band, Bench, Search, design, first_plan
-from experiments.models import Model, Tolerances, gains_of
+from experiments.models import Model, Tolerances, gains_of, range_note_of
+from experiments.provenance import source_of
+from experiments.reports import choose
+from experiments.reports import list_runs as lines_of
 from experiments.session import prepare, require_whole
-from experiments.workflows import OF_MODELS, OF_RUNS, Wanted, check_wanted, export_kind, export_model_as
-from legid.given import RigLike, Runs, as_rig
+from experiments.workflows import (
+    OF_MODELS,
+    OF_RUNS,
+    Refit,
+    Wanted,
+    Written,
+    check_wanted,
+    choose_executor,
+    export_kind,
+    export_model_as,
+    follow_commands,
+    plan_for,
+    refit_all,
+    simulate_run,
+)
+from legid.given import ModelLike, RigLike, Runs, as_model, as_rig, as_runs, runs_and_rig, stored_rig
 from legid.listings import Effects, Excitation, Gains, Guess
-from legid.results import Dataset
+from legid.results import Dataset, origin_from
+from legid.run_lists import Fits, RunList
 
-__all__ = ["effects", "excite", "export", "gains", "guess", "read"]
+__all__ = ["effects", "excite", "export", "fit_each", "gains", "guess", "list_runs", "read", "simulate"]
 
 
 def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
@@ -45,10 +68,10 @@ def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
     return Guess(guess_map(read_imported(file), rate_hz=rate_hz), Path(file).name)
 
 
-def export(what: Model | PlainDataset | Path | str, out: Path | str, to: str | None = None, *,
-           rig: RigLike | None = None, starts: Runs = (), samples: int = 0, seed: int = 1, servo: str = ""
-           ) -> tuple[str, ...]:
-    """Write a model, or a run, in another format, as `legid export`; returns what the format does not hold, in words.
+def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = None, *, rig: RigLike | None = None,
+           starts: Runs = (), samples: int = 0, seed: int = 1, servo: str = "", rate_hz: float | None = None,
+           damaged: bool = False) -> Written:
+    """Write a model, or a run, in another format, as `legid export`; `notes` of what it returns say what is not held.
 
     A run as csv, parquet or mat; a model as mjcf, urdf, mujoco or learning. `to` is by default what the ending of `out`
     tells; mujoco and learning are folders. A run file goes to ros2, too, at its devices' own rates.
@@ -57,33 +80,42 @@ def export(what: Model | PlainDataset | Path | str, out: Path | str, to: str | N
     - `starts`: with mujoco, runs whose first states leg.xml keeps; with learning, runs that measure what is lost.
     - `samples`: with mujoco, so many models more, drawn by the joint covariance from `seed`. `servo`: with learning,
       the actuator as BAM names it.
+    - `rate_hz`: samples per second of a run file, by default the rig's; `damaged`: also of one that lacks something.
 
     Raises `InputError` for what the format cannot hold or take.
     """
     kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed, servo=servo)
-    given = (starts,) if isinstance(starts, PlainDataset) else tuple(starts)
+    given = as_runs(starts)
     check_wanted(kind, wanted, bool(given))
-    if isinstance(what, Model) != (kind in OF_MODELS):
+    if isinstance(what, PlainDataset if kind in OF_MODELS else Model):
         raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
                          f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")
-    if isinstance(what, Model):
-        known = None if rig is None else as_rig(rig)
+    if not isinstance(what, PlainDataset) and kind in OF_MODELS:
+        model, where, _ = as_model(what, "the model")
         if given:
-            own = known or getattr(given[0], "rig", None)
-            if own is None:
-                raise InputError(given[0].name, "was not loaded with a rig", "give the path of its rig.toml as rig")
-            wanted = replace(wanted, starts=prepare(given, own, beta=np.array(what.beta)))
-        elif known is not None:
-            wanted = replace(wanted, limits=known.limits)
-        return export_model_as(kind, what, "the model", out, wanted).notes
+            known = runs_and_rig(given, rig)[1].rig
+            wanted = replace(wanted, starts=prepare(given, known, beta=np.array(model.beta)))
+        elif rig is not None:
+            wanted = replace(wanted, limits=as_rig(rig).rig.limits)
+        return export_model_as(kind, model, where, out, wanted)
+    assert not isinstance(what, Model)
+    return _export_run(what, kind, out, rig, rate_hz, damaged)
+
+
+def _export_run(what: PlainDataset | Path | str, kind: str, out: Path | str, rig: RigLike | None,
+                rate_hz: float | None, damaged: bool) -> Written:
     if kind == "ros2":
-        if isinstance(what, PlainDataset) or isinstance(rig, Rig):
+        if isinstance(what, PlainDataset) or not isinstance(rig, Path | str | None):
             raise InputError(str(out), "ros2 keeps the times of every device", "give the paths of run and rig file")
-        return tuple(export_ros2(what, rig, out).notes)
+        done = export_ros2(what, rig, out)
+        return Written(f"{out}: {done.messages} messages of {what}", tuple(done.notes))
     if not isinstance(what, PlainDataset):
-        what = load_any_run(what, rig, None) if isinstance(rig, Rig) else load_to_convert(what, rig, None)
-    export_run(require_whole(what), kind, out)
-    return ()
+        what = load_to_convert(what, rig, rate_hz) if isinstance(rig, Path | str | None) else load_any_run(
+            what, as_rig(rig).rig, rate_hz)
+    data = require_whole(what, damaged)
+    rows = export_run(data, kind, out)
+    return Written(f"{out}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}",
+                   (f"{data.name} is damaged: {'; '.join(map(str, data.damage))}",) if data.damage else ())
 
 
 def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[str, Any]], rate_hz: float | None = None,
@@ -104,10 +136,13 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[s
         known = load_map(columns)
     require_scales(known, "columns")
     run = apply_map(read_imported(file), known, rate_hz)
-    return Dataset.of(run, None if rig is None else as_rig(rig))
+    if rig is None:
+        return Dataset.of(run)
+    chosen = as_rig(rig)
+    return Dataset.of(run, chosen.rig, rig_source=chosen.source)
 
 
-def gains(model: Model, angle_rad: float = 0.05, speed_radps: float = 1.0, torque_nm: float = 1.0,
+def gains(model: ModelLike, angle_rad: float = 0.05, speed_radps: float = 1.0, torque_nm: float = 1.0,
           delay_s: float = 0.002) -> Gains:
     """Feedforward and PD gains of a model's driven joint, with the margins of the whole leg.
 
@@ -115,8 +150,10 @@ def gains(model: Model, angle_rad: float = 0.05, speed_radps: float = 1.0, torqu
     by what is tolerated of each; `delay_s` is everything that is late in the loop [s]. Raises `InputError` for a model
     without one driven joint, `WorkError` where the loop would not be stable.
     """
-    wanted = Tolerances(angle_rad, speed_radps, torque_nm, delay_s)
-    return Gains(gains_of(model, "the model", wanted), wanted)
+    wanted, given = Tolerances(angle_rad, speed_radps, torque_nm, delay_s), as_model(model, "the model")
+    left_out = [*(effect.name for effect in given.model.effects), *(["structure"] if given.model.structure else [])]
+    return Gains(gains_of(given.model, given.where, wanted), wanted, tuple(left_out),
+                 origin_from((), model=given.source))
 
 
 def effects() -> Effects:
@@ -124,12 +161,66 @@ def effects() -> Effects:
 
     Raises `InputError` for a package whose effect cannot be used.
     """
-    found = Effects()
+    found = Effects(origin_from(()))
     _ = found.document
     return found
 
 
-def excite(rig: RigLike, model: Model | None = None, *, seconds: float = 20.0, low_hz: float | None = None,
+def fit_each(files: Sequence[Path | str], rig: RigLike | Sequence[RigLike] | None = None, method: Method = "mle",
+             sensors: str | None = None, fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
+             damaged: bool = False, workers: int | None = 1, cluster: str | None = None) -> Fits:
+    """Every run file fitted alone, as `fit` does: one document a run, or why it has none.
+
+    `rig` is one for all or one for each; None: the one inside each native run. The fits are shared by so many
+    `workers` (None: one a core), or those of the Dask scheduler `cluster`. Raises `InputError` for a file that is not
+    there; one that cannot be used is told of in its place.
+    """
+    rigs = [stored_rig([file]) for file in files] if rig is None else [as_rig(one) for one in (
+        [rig] * len(files) if isinstance(rig, RigLike) else rig)]
+    pieces = [Refit(str(Path(file).resolve()), known.rig, method, sensors, latent, dict(fixed or {}), damaged,
+                    origin_from([source_of(file)], known.source)) for file, known in zip(files, rigs, strict=True)]
+    with work_bar("fitting", len(pieces), "run") as done:
+        return Fits(tuple(refit_all(pieces, choose_executor(workers, cluster), done)))
+
+
+def list_runs(folder: Path | str, model: str | None = None, since: date | None = None, until: date | None = None,
+              verdict: str | None = None, faulty: bool = False) -> RunList:
+    """The run files in `folder` and below, oldest first: what each holds and lost, and its newest verdict.
+
+    Only those of the rig's `model`, recorded from `since` to `until` (UTC), with that `verdict` ("-": without one),
+    `faulty` ones. Raises `InputError` where there is no such folder.
+    """
+    every = lines_of(folder)
+    lines = choose(every, model, since, until, verdict, faulty)
+    where = Path(folder) if Path(folder).is_dir() else Path(folder).parent
+    return RunList(tuple(lines), len(every), origin_from([source_of(where / line.file) for line in lines]))
+
+
+def simulate(model: ModelLike, plan: Plan | Path | str, rate_hz: float | None = None,
+             start: Sequence[float] | None = None, noise_seed: int | None = None, rig: RigLike | None = None
+             ) -> Dataset:
+    """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
+
+    Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). A file as `plan` holds a torque plan,
+    or is a run, of which the measured torque is taken; with a `rig` it holds the commands that the rig's servo
+    follows. `noise_seed` adds the model's own noise levels. A `UserWarning` says where the motion leaves the range of
+    the model's structure. Raises `InputError` where the plan does not fit, `WorkError` where the motion diverges.
+    """
+    given = as_model(model, "the model")
+    if rig is not None:
+        if isinstance(plan, Plan):
+            raise InputError("plan", "holds torques", "with a rig give a CSV of the commands that its servo follows")
+        found = follow_commands(given.model, plan, as_rig(rig).rig, given.where, start)
+    else:
+        torque = plan if isinstance(plan, Plan) else plan_for(plan, given.model)
+        found = simulate_run(given.model, torque, given.where, rate_hz, start, noise_seed)
+    note = range_note_of(given.model, found)
+    if note:
+        warnings.warn(note, stacklevel=2)
+    return Dataset.of(found)
+
+
+def excite(rig: RigLike, model: ModelLike | None = None, *, seconds: float = 20.0, low_hz: float | None = None,
            high_hz: float = 3.0, peak_nm: float | None = None, holds: int | None = None, margin: float = 0.8,
            criterion: str = "d", doubt: float = 0.1, tries: int = 2, steps: int = 80, seed: int = 0,
            progress: Callable[[float, float], None] | None = None) -> Excitation:
@@ -140,13 +231,14 @@ def excite(rig: RigLike, model: Model | None = None, *, seconds: float = 20.0, l
     limit, or a staircase of so many `holds`; their motion is unknown. `progress` is called with (done, total) starts.
     Raises `InputError` for a model of another rig or a plan beyond the limits, `WorkError` where no plan keeps them.
     """
-    known = as_rig(rig)
+    known = as_rig(rig).rig
     if model is None:
         return Excitation(first_plan(known, seed, seconds, peak_nm, low_hz, high_hz, holds), rig=known)
     if peak_nm is not None or holds is not None:
         raise InputError("peak_nm and holds", "are for a plan without a model",
                          "leave them out; margin scales the plan")
-    found = design(Bench(model, known, "the model", doubt), Band(seconds, low_hz or 0.0, high_hz),
+    prior = as_model(model, "the model")
+    found = design(Bench(prior.model, known, prior.where, doubt), Band(seconds, low_hz or 0.0, high_hz),
                    Search(margin, criterion, tries, steps, seed), progress)
     return Excitation(found.best.plan, found, known)
 

@@ -14,7 +14,7 @@ from experiments.models import Model
 from experiments.provenance import Origin
 from experiments.reports import segment_table, whole_validation_text, write_validation
 from experiments.workflows import ValidationReport, compared_text
-from legid.tables import Shown, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, html_table, kept_with, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,10 +110,8 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
 
         Raises `WorkError` without pandas.
         """
-        signals = list(self.runs[0].rmse)
-        return frame({"run": [one.run for one in self.runs], "seconds": [one.horizon_s for one in self.runs],
-                      "diverged": [one.diverged for one in self.runs],
-                      **{name: [finite(one.rmse[name]) for one in self.runs] for name in signals}}, "run")
+        return frame({**columns(self.runs, "run seconds=horizon_s diverged"),
+                      **{name: [finite(one.rmse[name]) for one in self.runs] for name in self.runs[0].rmse}}, "run")
 
     def plot(self) -> Figure:
         """Joints down, the first segments across. Raises `WorkError` for a document of a file."""

@@ -26,7 +26,7 @@ ROOMS = {
                     ["rig", "excite", "emulation", "session"], ["judge"], ["documents"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["cli"]],
     "legid": [["tables", "figures"],
-              ["results", "listings", "changes", "diagnoses", "fits", "validations", "comparisons"],
+              ["results", "listings", "run_lists", "changes", "diagnoses", "fits", "validations", "comparisons"],
               ["found_models", "given"],
               ["api", "tools"]],
     "studies": [["machine", "rk4_free_run"], ["walker"], ["biped3", "casebook"], ["casebook_page"],
@@ -127,7 +127,7 @@ def past_faces(module: str) -> Iterator[str]:
     for source, name in imports(module):
         if source in PACKAGES:
             exported = face(source)
-            if own != source and not own.startswith(f"{source}.") and name not in exported:
+            if name and own != source and not own.startswith(f"{source}.") and name not in exported:
                 yield f"{source} does not offer {name}"
             continue
         behind = package_of(source)

@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 from daq import InputError, WorkError, did_you_mean, replacing_anything
 from drivers import DriverError
 from estimator import FitError
-from experiments.cli.arguments import add_verbosity, check_outputs
-from experiments.console import USUAL, PlainOutput, commanded, detail, printable, verbosity
+from experiments.cli.command import check_outputs
+from experiments.console import QUIET, USUAL, VERBOSE, PlainOutput, commanded, detail, printable, verbosity
 
 GROUPS = {
     "set up": ("init", "doctor", "calibrate", "demo", "emulate"),
@@ -95,12 +95,25 @@ def build_parser() -> Parser:
     for heading, names in {**GROUPS, MORE: tuple(sorted(others))}.items():
         before = len(subparsers._choices_actions)
         for name in names:
-            import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
+            module = import_module(f"experiments.cli.commands.{name}")
+            add_verbosity(module.COMMAND.add_to(subparsers)).set_defaults(run=module.run)
         if names and "_ARGCOMPLETE" not in os.environ:  # a completion asks the parser for its commands alone
             line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)
             subparsers._choices_actions.insert(before, line)
-    for command in subparsers.choices.values():
-        add_verbosity(command)
+    return parser
+
+
+def add_verbosity(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """`parser` with `--quiet` and `--verbose`, for a command and those below it."""
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--quiet", dest="verbosity", action="store_const", const=QUIET, default=argparse.SUPPRESS,
+                     help="no progress and no notes, only results, warnings and errors")
+    how.add_argument("--verbose", dest="verbosity", action="store_const", const=VERBOSE, default=argparse.SUPPRESS,
+                     help="also what was read and how long it took")
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                add_verbosity(below)
     return parser
 
 

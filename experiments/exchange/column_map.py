@@ -153,8 +153,8 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
                          "record for longer, or check the unit of time_s")
     used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
     wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
-    told = (Flag("rows", _told(wrong)),) if wrong else ()
-    told += tuple(Flag("rows", f"has no column {column!r}, and so no {name}") for name, column in lacks.items())
+    told = [Flag("rows", f"has no column {column!r}, and so no {name}") for name, column in lacks.items()]
+    told += [Flag("rows", _told(wrong))] if wrong else []
     return replace(run, flags=(*flags, *run.flags, *told))
 
 

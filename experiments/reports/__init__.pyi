@@ -54,15 +54,13 @@ from .investigation import write_investigation as write_investigation
 from .markdown import write_markdown as write_markdown
 from .origin import Source as Source
 from .origin import model_with_origin as model_with_origin
-from .origin import origin_from as origin_from
 from .origin import origin_section as origin_section
 from .origin import source_of as source_of
-from .origin import with_origin as with_origin
-from .origin import write_document as write_document
 from .run_agreement import agreement_lines as agreement_lines
 from .run_info import describe_csv as describe_csv
 from .run_info import describe_mcap as describe_mcap
 from .run_info import recorded_readings as recorded_readings
+from .run_list import RunLine as RunLine
 from .run_list import choose as choose
 from .run_list import list_runs as list_runs
 from .run_list import other_tables as other_tables

@@ -6,13 +6,12 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 from msgspec import UnsetType
 
 from daq import Dataset
-from experiments.console import write_json
 from experiments.judge import Files, Headline, with_names
 from experiments.models import Model
 from experiments.provenance import Origin, origin_of
@@ -22,23 +21,8 @@ from experiments.reports.html import Section, Table, write_page
 from experiments.session import damaged_runs
 
 
-def with_origin(document: Mapping[str, Any], origin: Origin, runs: Sequence[Dataset] = ()) -> dict[str, Any]:
-    """`document` with `damaged` and `provenance` added."""
-    return {**document, "damaged": damaged_runs(runs), "provenance": origin}
-
-
-def origin_from(sources: Sequence[Source], rig: Source | None = None, seed: int | None = None) -> Origin:
-    """Origin of a result that a script asked for: the program, the run files, the rig file and the seed."""
-    return msgspec.structs.replace(origin_of(rig=rig, seed=seed), runs=tuple(sources))
-
-
-def write_document(path: Path | str, document: Mapping[str, Any], sources: Sequence[Source] = ()) -> None:
-    """Write `document` as a command's --json does, with `origin_from`. Raises `InputError`."""
-    write_json(path, {**document, "provenance": origin_from(sources)})
-
-
 def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()) -> Model:
-    """`model` with the same in its own provenance; of files, those of the runs that it names, and the rig."""
+    """`model` with `origin` and what is damaged in its provenance; of files, those of the runs that it names, and the rig."""
     named = tuple(source for source in origin.runs if source.file in model.provenance.runs)
     told = msgspec.structs.replace(
         model.provenance, origin=msgspec.structs.replace(origin, runs=named, model=None),

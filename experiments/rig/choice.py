@@ -17,8 +17,9 @@ class ChosenRig:
     """A rig, and where it comes from."""
 
     rig: Rig
-    source: Source
-    note: str
+    source: Source | None = None
+    """None for a rig that is no file's."""
+    note: str = ""
     """Which was taken, where none was given; else empty."""
     file: str | None = None
     """Its path; None where a run holds it."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import legid
 from estimator import Combination
 from estimator.diagnosis import Diagnosis as Details
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
@@ -112,7 +113,7 @@ def test_bad_input_is_an_input_error(tmp_path: Path) -> None:
 
 
 def test_every_function_is_typed_and_explained() -> None:
-    functions = [getattr(api, name) for name in api.__all__ if inspect.isfunction(getattr(api, name))]
+    functions = [found for name in vars(legid)["__all__"] if inspect.isfunction(found := getattr(legid, name))]
     assert {f.__name__ for f in functions} >= {"load", "fit", "diagnose", "validate", "record", "simulate", "model"}
     for f in functions:
         assert "raises" in (f.__doc__ or "").lower(), f.__name__

@@ -94,7 +94,7 @@ def test_exports_are_the_commands(log: Path, tmp_path: Path) -> None:
     model = legid.model(legid.fit(run))
     legid.save_model(model, tmp_path / "model.json")
     for name in ("leg.urdf", "leg.xml"):
-        notes = legid.export(model, tmp_path / name)
+        notes = legid.export(model, tmp_path / name).notes
         typed("export", tmp_path / "model.json", "--out", tmp_path / f"typed-{name}")
         assert (tmp_path / name).read_text() == (tmp_path / f"typed-{name}").read_text() and notes
     legid.export(model, tmp_path / "leg", "mujoco", starts=run)

@@ -8,11 +8,13 @@ from html import unescape
 
 import numpy as np
 import pytest
+from msgspec import Struct
 
 import legid
 from daq.rig import parse_rig
 from estimator import Combination
 from experiments.models import mechanism_settings
+from legid.tables import columns
 from tests.support.fits import synthetic_fit
 
 TOML = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -84,3 +86,19 @@ def test_runs_without_a_rig_or_of_two_rigs_are_refused() -> None:
         legid.fit([])
     with pytest.raises(legid.InputError, match="holds no rig"):
         legid.load("run.csv")
+
+
+def test_columns_of_structs_lead_below_and_rename_and_open_intervals() -> None:
+    class Below(Struct):
+        ci95: tuple[float, float] | None
+        unit: str = "N m"
+
+    class Row(Struct):
+        name: str
+        part: Below | None
+
+    rows = [(1, Row("a", Below((1.0, 2.0)))), (2, Row("b", None)), (3, Row("c", Below(None)))]
+    assert columns(rows, "run=0 1.name 1.part.ci95 of=1.part.unit") == {
+        "run": [1, 2, 3], "name": ["a", "b", "c"], "low": [1.0, None, None], "high": [2.0, None, None],
+        "of": ["N m", None, "N m"]}
+    assert columns([], "1.ci95 unit") == {"low": [], "high": [], "unit": []}

@@ -12,6 +12,7 @@ from estimator.prediction import HORIZONS_S
 from experiments.documents import finite
 from experiments.judge import diagnosed_model
 from tests.support.mujoco_leg import Leg, record
+from tests.support.paths import FIXTURES
 
 STIFFNESS = 0.8
 SAME = 1e-9
@@ -68,6 +69,31 @@ def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis,
     for column, (before, after) in whole.items():
         assert (told[column]["before"], told[column]["after"]) == pytest.approx((before, after), rel=SAME), column
     # no sensor reads the pivot: both simulations are compared with the motion of the extended model
+    assert row.against
     pivot = (row.against.rmse["q1_rad"], row.rmse["q1_rad"])
     assert (told["q1_rad"]["before"], told["q1_rad"]["after"]) == pytest.approx(pivot, rel=SAME)
     assert both[0].rmse["q2_rad"] == pytest.approx(told["q2_rad"]["after"], rel=SAME)
+
+
+def test_validate_and_compare_tell_one_error_of_a_model_on_a_run() -> None:
+    """By horizon and sensor to the last digit; a whole run's is that of its segment, but for the order of a sum."""
+    run = legid.load(FIXTURES / "healthy.mcap", FIXTURES / "rig.toml")
+    fit = legid.fit(run, method="wls")
+    other = legid.fit(run, method="wls", fixed={"beta1": 1.1 * float(fit.beta[0])})
+    models = legid.model(fit), legid.model(other)
+    horizons = (0.2, 1.0)
+    seen = [legid.validate(model, run, horizons_s=horizons) for model in models]
+    errors = legid.compare(*models, run, horizons_s=horizons).errors
+    rows = [row for row in errors if row.column != "gyro_radps" and row.horizon_s is not None]
+    assert {row.horizon_s for row in rows} == set(horizons)
+    told = [{row.horizon_s: row.rmse for row in one.horizons} for one in seen]
+    assert all([one[row.horizon_s or 0.0][row.column] for one in told] == [row.a, row.b] for row in rows)
+    (alone,) = seen[0]
+    whole = {row.column: row.a for row in errors if row.horizon_s is None and row.column in alone.rmse}
+    assert set(whole) == {"q1_rad", "q2_rad"}
+    assert whole == pytest.approx({name: alone.rmse[name] for name in whole}, rel=1e-12)
+    assert alone.rmse["q1_rad"] != pytest.approx(alone.rmse["q2_rad"], rel=0.01)
+    with pytest.raises(legid.InputError, match="horizons_s"):
+        legid.compare(*models, run, horizons_s=(0.0,))
+    with pytest.raises(legid.InputError, match="was given a model and runs"):
+        legid.compare([run], models[0])  # type: ignore[call-overload]

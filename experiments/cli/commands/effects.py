@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import add_force, add_output
+import legid
+from experiments.cli.answer import answer
+from experiments.cli.arguments import FORCE
+from experiments.cli.command import Command, output
 
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "effects", help="list the effects that a diagnosis can name",
-        description="Every effect in the library with its meaning, the units of its sizes, where its form comes from "
-                    "and the experiment that shows it best; effects of installed packages (entry point group "
-                    "legid.effects) with them; and what cannot be tested, with the reason.")
-    add_output(parser, "--json", "legid.effects/1", help="write the list as JSON (schema legid.effects/1)")
-    add_force(parser)
-    parser.set_defaults(run=run)
+COMMAND = Command(
+    "effects", "list the effects that a diagnosis can name",
+    "Every effect in the library with its meaning, the units of its sizes, where its form comes from and the "
+    "experiment that shows it best; effects of installed packages (entry point group legid.effects) with them; and "
+    "what cannot be tested, with the reason.", (
+        output("--json", "legid.effects/1", help="write the list as JSON (schema legid.effects/1)"), FORCE))
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the library, write what was asked for."""
-    from experiments.console import command_line, write_json
-    from experiments.models import effects_document, effects_text
-    from experiments.provenance import origin_of
-
-    print(effects_text())
-    if args.json:
-        write_json(args.json, {**effects_document(), "provenance": origin_of(command=command_line())})
-    return 0
+    """Tell the library."""
+    found = legid.effects()
+    return answer(args, found, str(found))

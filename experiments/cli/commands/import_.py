@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
+import sys
 from collections.abc import Iterator, Mapping
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq import InputError
-from experiments.cli.arguments import add_force
+from daq import InputError, WorkError
+from experiments import exchange, reports
+from experiments.cli.arguments import FORCE, numbers
+from experiments.cli.command import Command, argument
+from experiments.console import make_directory, printable, text_table, warn
 
 if TYPE_CHECKING:
     from daq import Column, Dataset
@@ -18,77 +24,60 @@ WHOLE = ".13g"
 """A time since 1970 to the millisecond."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "import", help="files of other programs as runs",
-        description="Read CSV of any dialect, MATLAB, HDF5, NumPy, PyTorch, pickle, JSON, Parquet and ROS bags "
-                    "by a map of columns, and write runs as CSV. A file that cannot be read is named, and the others "
-                    "are imported. Without --map legid guesses the map by names, gravity and the equation of motion. "
-                    "It shows what it found in each file, writes the map and a page, and asks whether to import. "
-                    "--guess does the same and imports nothing. The same table as [columns] in a rig.toml lets every "
-                    "command read such files.")
-    parser.add_argument("files", metavar="FILE", nargs="+",
-                        help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder")
-    parser.add_argument("--map", metavar="COLUMNS.toml",
-                        help="the map of columns; default: columns.toml in DIR, guessed anew until it is edited")
-    parser.add_argument("--guess", action="store_true",
-                        help="write a map guessed from the first file, and a page next to it")
-    parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
-    parser.add_argument("--yes", action="store_true", help="import by a guessed map without asking")
-    add_force(parser)
-    parser.add_argument("--rate", metavar="HZ", type=float,
-                        help="samples per second, which a file without times needs; default: the slowest signal's")
-    parser.add_argument("--joints", metavar="A,B", type=lambda text: tuple(filter(None, text.split(","))), default=(),
-                        help="of a file with many joints, those that a guess takes: by name or by number from 1")
-    parser.add_argument("--span", metavar="FROM,TO", type=span,
-                        help="import these seconds of each file alone, by its own clock")
-    parser.set_defaults(run=run)
-
-
-def span(text: str) -> tuple[float, float]:
-    """A reader of FROM,TO [s], both finite."""
-    try:
-        start, end = (float(part) for part in text.split(","))
-    except ValueError:
-        start = end = 0.0
-    if not -float("inf") < start < end < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not FROM,TO in seconds, such as 50,66")
-    return start, end
+COMMAND = Command(
+    "import", "files of other programs as runs",
+    "Read CSV of any dialect, MATLAB, HDF5, NumPy, PyTorch, pickle, JSON, Parquet and ROS bags by a map of columns, "
+    "and write runs as CSV. A file that cannot be read is named, and the others are imported. Without --map legid "
+    "guesses the map by names, gravity and the equation of motion. It shows what it found in each file, writes the map "
+    "and a page, and asks whether to import. --guess does the same and imports nothing. The same table as [columns] in "
+    "a rig.toml lets every command read such files.", (
+        argument("files", metavar="FILE", nargs="+",
+                 help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder"),
+        argument("--map", metavar="COLUMNS.toml",
+                 help="the map of columns; default: columns.toml in DIR, guessed anew until it is edited"),
+        argument("--guess", action="store_true",
+                 help="write a map guessed from the first file, and a page next to it"),
+        argument("--out", metavar="DIR", default=".", help="where the runs go; default: here"),
+        argument("--yes", action="store_true", help="import by a guessed map without asking"),
+        FORCE,
+        argument("--rate", metavar="HZ", type=float,
+                 help="samples per second, which a file without times needs; default: the slowest signal's"),
+        argument("--joints", metavar="A,B", type=lambda text: tuple(filter(None, text.split(","))), default=(),
+                 help="of a file with many joints, those that a guess takes: by name or by number from 1"),
+        argument("--span", metavar="FROM,TO",
+                 type=numbers(lambda some: len(some) == 2 and -inf < some[0] < some[1] < inf,
+                              "FROM,TO in seconds, such as 50,66"),
+                 help="import these seconds of each file alone, by its own clock")))
 
 
 def run(args: argparse.Namespace) -> int:
     """Guess, or read, map and write; a file that cannot be read does not stop the others."""
-    import sys
-
     from daq.runs import write_csv
-    from experiments.console import make_directory, printable, warn
-    from experiments.exchange import apply_map, is_guess, load_map, read_imported, require_scales, runs_in
 
     if args.rate is not None and not 0.0 < args.rate < 1e6:
         raise InputError("--rate", f"{args.rate:g} is not a rate in Hz", "give samples per second")
     out = Path(args.out)
     make_directory(out)
     place = out / "columns.toml" if args.map is None else Path(args.map)
-    if args.guess or (args.map is None and (not place.exists() or is_guess(place))):
+    if args.guess or (args.map is None and (not place.exists() or exchange.is_guess(place))):
         _guess(args, place)
         if args.guess or (not args.yes and not _agreed(args.files, place)):
             _show_next(args, place)
             return 0
     elif args.map is None:
         print(f"map: {place}")
-    columns = load_map(place)
-    require_scales(columns, str(place))
+    columns = exchange.load_map(place)
+    exchange.require_scales(columns, str(place))
     given = {Path(file).resolve() for file in args.files}
     bad = 0
     for file, target in _targets(args.files, out):
         try:
-            imported = read_imported(file)
-            for ending, own in runs_in(imported, columns):
+            imported = exchange.read_imported(file)
+            for ending, own in exchange.runs_in(imported, columns):
                 written = target.with_name(f"{target.stem}{ending}.csv")
                 if written.resolve() in given:
                     raise InputError(str(written), "exists already", "give another directory with --out")
-                data = _cut(apply_map(imported, own, args.rate), args.span)
+                data = _cut(exchange.apply_map(imported, own, args.rate), args.span)
                 rows = write_csv(data, written, replace=args.force)
                 print(f"{written}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
                 for flag in data.flags:
@@ -125,24 +114,19 @@ def _targets(files: list[str], out: Path) -> Iterator[tuple[str, Path]]:
 
 def _guess(args: argparse.Namespace, target: Path) -> None:
     """Show what the files hold, and write the guessed map to `target` and its page next to it."""
-    import sys
-
-    from daq import WorkError, write_file
-    from experiments.console import text_table
-    from experiments.exchange import guess_map, guess_text, is_guess, read_imported
-    from experiments.reports import guess_section, guess_table, guess_verdict, write_page
+    from daq import write_file
 
     page = target.with_suffix(".html")
-    if target.exists() and not (args.force or is_guess(target)):
+    if target.exists() and not (args.force or exchange.is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
-    found = guess_map(read_imported(args.files[0]), rate_hz=args.rate, joints=args.joints)
-    print(guess_table(found))
+    found = exchange.guess_map(exchange.read_imported(args.files[0]), rate_hz=args.rate, joints=args.joints)
+    print(reports.guess_table(found))
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
-    write_file(target, guess_text(found.columns, found.notes).encode(), changed=True)
-    write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
-               [guess_section(found, args.files[0])], verdict=guess_verdict(found))
+    write_file(target, exchange.guess_text(found.columns, found.notes).encode(), changed=True)
+    reports.write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
+               [reports.guess_section(found, args.files[0])], verdict=reports.guess_verdict(found))
     for warning in [*found.unexplained, *found.warnings]:
         print(f"warning: {warning}", file=sys.stderr)
     if found.unexplained:
@@ -153,12 +137,10 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
 
 def _summary(file: str, columns: Mapping[str, Column], rate_hz: float | None) -> list[str]:
     """Row of a table: samples, rate, length and share of missing samples of one file, read by the guessed map."""
-    from experiments.exchange import apply_map, read_imported, runs_in
-
     try:
-        imported = read_imported(file)
-        some = runs_in(imported, columns)
-        data = apply_map(imported, some[0][1], rate_hz)
+        imported = exchange.read_imported(file)
+        some = exchange.runs_in(imported, columns)
+        data = exchange.apply_map(imported, some[0][1], rate_hz)
     except InputError as error:
         return [file, "", "", "", "", error.what]
     wrong = f"{len(imported.wrong)} wrong cells or rows left out" if imported.wrong else ""
@@ -169,8 +151,6 @@ def _summary(file: str, columns: Mapping[str, Column], rate_hz: float | None) ->
 
 def _agreed(files: list[str], target: Path) -> bool:
     """Whether a person at the terminal says yes to an import by the guessed map."""
-    import sys
-
     if not sys.stdin.isatty():
         return False
     return input(f"Import {len(files)} files by {target}? [y/N] ").strip().lower() in ("y", "yes")
@@ -178,17 +158,12 @@ def _agreed(files: list[str], target: Path) -> bool:
 
 def _show_next(args: argparse.Namespace, target: Path) -> None:
     """Print the command that imports by the guessed map; a CSV that lies here already needs another directory."""
-    import shlex
-    from pathlib import Path
-
-    from experiments.exchange import load_map, unscaled
-
     there = any(Path(file).suffix == ".csv" and Path(file).resolve().parent == Path(args.out).resolve()
                 for file in args.files)
     where = "runs" if there else args.out
     out = "" if where == "." else f" --out {shlex.quote(where)}"
     rate = "" if args.rate is None else f" --rate {args.rate:g}"
-    lacking = unscaled(load_map(target))
+    lacking = exchange.unscaled(exchange.load_map(target))
     if lacking:
         print(f"first write scale = N m per {lacking[1]}, gear included, under [columns.{lacking[0]}] in {target}")
     print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{rate}{out}")

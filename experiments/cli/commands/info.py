@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import argparse
 
+from daq import InputError
+from experiments.cli.command import Command, argument
+from experiments.console import warn
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "info", help="look into run files",
-        description="Streams with their rates, gaps and drops, clocks with their bounds, events, and the rig.")
-    parser.add_argument("run_files", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
-    parser.set_defaults(run=run)
+COMMAND = Command(
+    "info", "look into run files",
+    "Streams with their rates, gaps and drops, clocks with their bounds, events, and the rig.",
+    (argument("run_files", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz"),))
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what is in the files, those that cannot be read last."""
-    from daq import InputError
-    from experiments.console import warn
-
     faults = []
     for k, path in enumerate(args.run_files):
         try:

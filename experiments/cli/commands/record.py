@@ -3,77 +3,63 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
-from experiments.cli.arguments import add_output, add_rig
-from experiments.cli.commands.demo import HIDEABLE, parse_seed
+import daq
+from daq import InputError
+from experiments import reports, rig, workflows
+from experiments.cli.arguments import ESTOP, HIDEABLE, RIG_ALONE, SEED
+from experiments.cli.command import Command, argument, one_of, output
+from experiments.console import busy, progress_to, warn
 
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "record", help="run a torque plan on the real leg and record it",
-        description="Open the devices of the rig file, run the plan under the rig's limits and record everything. "
-                    "Ctrl-C stops the motor at once; what was recorded until then is kept. With --emulate no device "
-                    "is opened: the rig's IMU, controller and a leg are emulated, for practice. With --replay "
-                    "neither: a recorded run is played back through drivers and intakes, no motor moves.")
-    add_rig(parser, runs=False)
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--plan", help="torque plan: CSV with time_s,tau2_cmd_nm")
-    what.add_argument("--replay", metavar="RUN.mcap",
-                      help="play this run back instead: the bytes that were read then, to the same drivers, under the "
-                           "rig that it holds or that of --rig")
-    add_output(parser, "--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten")
-    parser.add_argument("--estop-at-hand", action="store_true",
-                        help="on a drive other than our own firmware: a hard-wired emergency stop is within reach, so "
-                             "do not ask")
-    parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
-    parser.add_argument("--rig-sha256", metavar="HEX", default="", help=argparse.SUPPRESS)  # legid live: as it was read
-    parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
-                        help="record an emulated leg of the rig's kind instead, with this hidden in it: "
-                             f"{', '.join(HIDEABLE)} (the default)")
-    parser.add_argument("--seed", metavar="N", type=parse_seed, default=1,
-                        help="of the emulated leg's noise; default: 1")
-    parser.set_defaults(run=run)
+COMMAND = Command(
+    "record", "run a torque plan on the real leg and record it",
+    "Open the devices of the rig file, run the plan under the rig's limits and record everything. Ctrl-C stops the "
+    "motor at once; what was recorded until then is kept. With --emulate no device is opened: the rig's IMU, "
+    "controller and a leg are emulated, for practice. With --replay neither: a recorded run is played back through "
+    "drivers and intakes, no motor moves.", (
+        RIG_ALONE,
+        one_of(argument("--plan", help="torque plan: CSV with time_s,tau2_cmd_nm"),
+               argument("--replay", metavar="RUN.mcap",
+                        help="play this run back instead: the bytes that were read then, to the same drivers, under "
+                             "the rig that it holds or that of --rig"), required=True),
+        output("--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten"),
+        ESTOP,
+        argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS),  # legid live: see daq.remote
+        argument("--rig-sha256", metavar="HEX", default="", help=argparse.SUPPRESS),  # legid live: as it was read
+        argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
+                 help="record an emulated leg of the rig's kind instead, with this hidden in it: "
+                      f"{', '.join(HIDEABLE)} (the default)"),
+        argument("--seed", metavar="N", type=SEED, default=1, help="of the emulated leg's noise; default: 1")))
 
 
 def run(args: argparse.Namespace) -> int:
     """Record one run."""
     if args.replay:
         return _replay(args)
-    import sys
-
-    from daq import read_rig_file
     from daq.recording import read_plan, watched_by
     from daq.runs import read_run
-    from experiments.console import progress_to
-    from experiments.reports import recorded_readings
-    from experiments.rig import MOVES, confirm_estop, rig_path
-    from experiments.workflows import record_plan
 
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
-        rig, plan = read_rig_file(rig_path(args.rig), args.rig_sha256), read_plan(args.plan)
+        file, plan = daq.read_rig_file(rig.rig_path(args.rig), args.rig_sha256), read_plan(args.plan)
         if args.emulate is None:
-            confirm_estop(rig.rig, args.estop_at_hand)
-            print(MOVES, flush=True)
-        done, warnings = record_plan(rig, plan, args.out, args.emulate, args.seed, report, remote)
+            rig.confirm_estop(file.rig, args.estop_at_hand)
+            print(rig.MOVES, flush=True)
+        done, warnings = workflows.record_plan(file, plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")
-    for line in (*warnings, *(f"warning: {text}" for text in recorded_readings(read_run(args.out)))):
+    for line in (*warnings, *(f"warning: {text}" for text in reports.recorded_readings(read_run(args.out)))):
         print(line, file=sys.stderr)
     return 0
 
 
 def _replay(args: argparse.Namespace) -> int:
     """Play a run back; devices stay closed."""
-    from daq import InputError
-    from experiments.console import busy, warn
-    from experiments.workflows import replay_recording
-
     if args.emulate or args.watched_by is not None:
         raise InputError("--replay", "plays a recording", "leave out --emulate")
     with busy(f"replaying {args.replay}"):
-        done = replay_recording(args.replay, args.out, args.rig)
+        done = workflows.replay_recording(args.replay, args.out, args.rig)
     print(f"{args.out}: REPLAY of {args.replay}, nothing was measured and no motor moved: {done.messages} messages, "
           f"{done.imu_samples} IMU samples")
     if done.left_out:

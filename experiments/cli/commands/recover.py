@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from experiments.cli.arguments import add_output
+from experiments.cli.command import Command, argument, output
 
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "recover", help="repair a run file that a crash cut short",
-        description="Write all undamaged parts of RUN to a clean, indexed file. RUN itself is not changed. "
-                    "Other commands also read the undamaged parts of a cut file.")
-    parser.add_argument("run_file", metavar="RUN", help="a .mcap run file")
-    add_output(parser, "--out", "run", help="the file to write; default: RUN with .recovered before .mcap")
-    parser.set_defaults(run=run)
+COMMAND = Command(
+    "recover", "repair a run file that a crash cut short",
+    "Write all undamaged parts of RUN to a clean, indexed file. RUN itself is not changed. Other commands also read "
+    "the undamaged parts of a cut file.", (
+        argument("run_file", metavar="RUN", help="a .mcap run file"),
+        output("--out", "run", help="the file to write; default: RUN with .recovered before .mcap")))
 
 
 def run(args: argparse.Namespace) -> int:
     """Copy what is whole, say what was lost."""
-    from pathlib import Path
-
     from daq.runs import recover
 
     path = Path(args.run_file)

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from daq import InputError, WorkError
+from experiments.cli.command import Command, argument
+from experiments.console import text_table
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "verify", help="check the files that a JSON, model or report was made from",
-        description="Compare runs, rig file and model with the SHA-256 sums in FILE. The files are looked for in its "
-                    "folder and in the folders given. Exit status 1 when one has changed or is missing.")
-    parser.add_argument("file", metavar="FILE", help="a JSON, a MODEL.json or a report page of legid")
-    parser.add_argument("folders", metavar="DIR", nargs="*",
-                        help="where to look, folders below included; default: FILE's own and the current folder")
-    parser.set_defaults(run=run)
+COMMAND = Command(
+    "verify", "check the files that a JSON, model or report was made from",
+    "Compare runs, rig file and model with the SHA-256 sums in FILE. The files are looked for in its folder and in the "
+    "folders given. Exit status 1 when one has changed or is missing.", (
+        argument("file", metavar="FILE", help="a JSON, a MODEL.json or a report page of legid"),
+        argument("folders", metavar="DIR", nargs="*",
+                 help="where to look, folders below included; default: FILE's own and the current folder")))
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare, one line a file."""
-    from pathlib import Path
-
-    from daq import InputError, WorkError
-    from experiments.console import text_table
     from experiments.provenance import read_origin, verify
 
     origin = read_origin(args.file)

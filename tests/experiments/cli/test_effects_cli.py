@@ -86,7 +86,7 @@ def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Pa
 
 
 def test_what_a_demo_can_hide_is_in_the_library() -> None:
-    from experiments.cli.commands.demo import HIDEABLE
+    from experiments.cli.arguments import HIDEABLE
 
     known = {row["effect"]: row for row in effects_document()["effects"]}
     assert set(HIDEABLE) == {"none", *EFFECTS}

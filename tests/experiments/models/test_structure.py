@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+import legid
 from daq.errors import InputError
 from daq.recording.plan import read_plan
 from estimator.diagnosis import Diagnosis
@@ -18,7 +19,6 @@ from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import JointTorque, Model, StructureValues, TableInput, TorqueTable
 from experiments.models.structure import laws_of, structure_values
 from experiments.reports.structure import structure_section, structure_words
-from legid import api
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet
 from tests.support.paths import DEMO_RIG as RIG
@@ -97,7 +97,7 @@ def test_a_motion_beyond_its_range_is_told(tmp_path: Path, capsys: pytest.Captur
     run_of(with_table(SPRING), tmp_path)
     assert "leaves the range" not in capsys.readouterr().err
     with pytest.warns(UserWarning, match="angle of joint 2"):
-        api.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
+        legid.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
 
 
 def test_reports_say_what_it_removes_and_where() -> None:

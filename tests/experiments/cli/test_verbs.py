@@ -1,0 +1,103 @@
+"""Commands and verbs are one: a command that answers with a document calls a verb of `legid` and writes its result."""
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import legid
+from experiments import cli
+from experiments.cli.command import Command, OneOf
+from tests.support.paths import FIXTURES, ROOT
+
+FOLDER = ROOT / "experiments/cli/commands"
+HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
+STUDIES = {"casebook", "monte_carlo"}
+"""Their work is in the source tree, not in the package."""
+WRITERS = {"write_json", "to_json", "save_model", "origin_of"}
+"""Who calls them writes a document of its own."""
+
+
+def module(name: str) -> ast.Module:
+    return ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
+
+
+def verbs(tree: ast.AST) -> set[str]:
+    """Names of `legid` that are called."""
+    called = (node.func for node in ast.walk(tree) if isinstance(node, ast.Call))
+    return {f.attr for f in called if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name)
+            and f.value.id == "legid"}
+
+
+def names(tree: ast.AST) -> set[str]:
+    return {node.attr if isinstance(node, ast.Attribute) else node.id for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute | ast.Name)}
+
+
+def documents() -> list[str]:
+    """Modules of commands with `--json`, and the one that fills a folder with them."""
+    from importlib import import_module
+
+    found = []
+    for path in sorted(FOLDER.glob("[!_]*.py")):
+        command: Command = import_module(f"experiments.cli.commands.{path.stem}").COMMAND
+        arguments = [one for part in command.arguments
+                     for one in (part.arguments if isinstance(part, OneOf) else (part,))]
+        if any("--json" in one.flags for one in arguments):
+            found.append(path.stem)
+    return [*found, "investigate"]
+
+
+@pytest.mark.parametrize("name", [name for name in documents() if name not in STUDIES])
+def test_a_command_with_a_document_calls_its_verb_and_hands_the_result_over(name: str) -> None:
+    tree = module(name)
+    called = verbs(tree) - {"load", "load_model", "load_rig"}
+    assert called and called <= set(vars(legid)["__all__"])
+    assert not WRITERS & names(tree), "answer() writes"
+    given = [call.args[1].id for call in ast.walk(tree) if isinstance(call, ast.Call)
+             and isinstance(call.func, ast.Name) and call.func.id == "answer" and isinstance(call.args[1], ast.Name)]
+    assert given and set(given) <= {"found", "done"}
+
+
+def test_every_verb_with_a_document_has_its_command() -> None:
+    called = set().union(*(verbs(module(name)) for name in documents()))
+    assert called >= {"fit", "fit_each", "validate", "compare", "compare_sessions", "diagnose", "watch", "tune",
+                      "investigate", "gains", "effects", "list_runs"}
+
+
+def answer(path: Path) -> Any:
+    """A document without the command line and the time that it took."""
+    found = json.loads(path.read_text())
+    return {k: v for k, v in found.items() if k != "wall_s"} | {"provenance": found["provenance"] | {"command": ""}}
+
+
+def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made_from(tmp_path: Path) -> None:
+    model, shell, python = tmp_path / "model.json", tmp_path / "shell.json", tmp_path / "python.json"
+
+    def same(found: Any, *words: object) -> Any:
+        assert cli.main([*map(str, words), "--json", str(shell), "--force"]) == 0
+        python.unlink(missing_ok=True)
+        found.to_json(python)
+        assert answer(shell) == answer(python)
+        return json.loads(shell.read_text())["provenance"]
+
+    run = legid.load(HEALTHY, RIG)
+    origin = same(legid.fit(run, method="wls"), "fit", HEALTHY, "--rig", RIG, "--method", "wls", "--model-out", model)
+    assert origin["rig"]["file"] == "rig.toml" and origin["command"].startswith("legid fit healthy.mcap")
+    assert same(legid.validate(model, run), "validate", model, HEALTHY, "--rig", RIG)["model"]["file"] == "model.json"
+    both = same(legid.compare(model, model, run, names=(str(model), str(model))), "compare", model, model, HEALTHY,
+                "--rig", RIG)
+    assert [one["file"] for one in both["models"]] == ["model.json", "model.json"]
+    each = legid.fit_each([HEALTHY], RIG, method="wls")
+    assert cli.main(["fit", "--each", str(HEALTHY), "--rig", str(RIG), "--method", "wls", "--workers", "1", "--json",
+                     str(shell), "--force"]) == each.status == 0
+    (one,) = json.loads(shell.read_text())["fits"]
+    assert each.fits[0]["parameters"] == one["parameters"] and one["provenance"]["rig"]["file"] == "rig.toml"
+    assert list(each.to_frame().index) == [str(HEALTHY.resolve())]
+    same(legid.gains(model, angle_rad=0.1), "gains", model, "--angle", 0.1)
+    same(legid.effects(), "effects")
+    listed = legid.list_runs(FIXTURES)
+    same(listed, "runs", FIXTURES)
+    assert "healthy.mcap" in listed.to_frame().index and len(listed) == listed.of > 3
