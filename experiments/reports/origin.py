@@ -22,7 +22,7 @@ from experiments.session import damaged_runs
 
 
 def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()) -> Model:
-    """`model` with `origin` and what is damaged in its provenance; of files, those of the runs that it names, and the rig."""
+    """`model` with `origin` and what is damaged in its provenance; of files, those of the rig and of its own runs."""
     named = tuple(source for source in origin.runs if source.file in model.provenance.runs)
     told = msgspec.structs.replace(
         model.provenance, origin=msgspec.structs.replace(origin, runs=named, model=None),
