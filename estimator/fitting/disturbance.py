@@ -24,8 +24,8 @@ from estimator.fitting.excerpt import excerpt
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.noise_update import TORQUE_SHARE, floors_under, most_noise
 from estimator.fitting.second_ahead import errors_ahead, log_ratio
+from estimator.free_runs import FittedModel
 from estimator.likelihood import OFF, LatentProblem, Latents, Noise, Process, State, add_reading
-from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
 from estimator.signals import SignalSet
@@ -182,13 +182,12 @@ def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem,
                               state.noise.at(where))
 
 
-def predicts_worse(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, options: FitOptions,
-                   betas: tuple[FloatArray, FloatArray]) -> bool:
-    """Whether parameters betas[1] predict a second ahead materially worse than betas[0], for sure.
+def predicts_worse(signals: Sequence[SignalSet], options: FitOptions, than: FittedModel, model: FittedModel) -> bool:
+    """Whether a model predicts a second ahead materially worse than another one, for sure.
 
     A disturbance that stands for structure of the model may favour parameters that no longer simulate the machine.
     """
-    ratio, half = log_ratio(errors_ahead(signals, mechanism, hold, options, betas))
+    ratio, half = log_ratio(errors_ahead(signals, [than, model], options))
     return ratio - half > np.log(1.0 + WORSE)
 
 

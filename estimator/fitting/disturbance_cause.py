@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 
 from estimator.effects import Effect
 from estimator.errors import FitError
-from estimator.fitting.disturbance import Disturbance, disturbance_likelihood, find_disturbance, of_noise
+from estimator.fitting.disturbance import (
+    Disturbance,
+    disturbance_likelihood,
+    find_disturbance,
+    of_noise,
+    predicts_worse,
+)
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.loop_terms import extended
 from estimator.fitting.omitted_effects import small_effects, with_candidates
+from estimator.free_runs import FittedModel
 from estimator.likelihood import LatentProblem, State
 from estimator.options import FitOptions
 from estimator.score import columns_of, project, score_at
@@ -27,12 +34,15 @@ TRIED = 4
 
 
 def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
-                         options: FitOptions, found: Disturbance) -> Effect | None:
-    """The listed effect that leaves less than MOST_LEFT of the power of the disturbance `found`; None: there is none.
+                         options: FitOptions, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
+    """The listed effect that leaves less than MOST_LEFT of the power of a disturbance; None: there is none.
 
-    `problem` and `state` are the fit without the disturbance. Effects whose scores promise most are fitted in its
-    place, and the likeliest disturbance is sought anew with each.
+    `problem` and `state` are the fit without it, `disturbed` has it and the fit's model. Effects whose scores promise
+    most are fitted in its place, and the likeliest disturbance is sought anew with each. One with which a second is
+    predicted worse explains nothing: the fit without a disturbance may have gone astray, and the disturbance is small
+    there.
     """
+    found, kept = disturbed
     for effect in _promising(problem, state, signals, free, options):
         wide, count = extended(problem, signals, [effect]), len(effect.sizes)
         begin = State(state.x, np.append(state.beta, np.zeros(count)), state.noise.levels(),
@@ -44,7 +54,9 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
             left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
         except (FitError, np.linalg.LinAlgError):
             continue
-        if float(left.level @ left.level) < MOST_LEFT * float(found.level @ found.level):
+        with_effect = FittedModel(kept.mechanism, kept.hold, again.beta, (effect,), gear_ratio=options.gear_ratio)
+        if float(left.level @ left.level) < MOST_LEFT * float(found.level @ found.level) and not predicts_worse(
+                signals, options, kept, with_effect):
             return effect
     return None
 

@@ -54,6 +54,7 @@ from estimator.fitting.tolerances import with_scatter, with_tolerances, without_
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
 from estimator.fitting.wls import free_mask
+from estimator.free_runs import FittedModel
 from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -232,9 +233,10 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
         if not state.converged:
             return plain
     mechanism, hold = problem.mechanism, problem.collocation.hold
-    if problem.disturbed and predicts_worse(signals, mechanism, hold, options, (plain[1].beta, state.beta)):
+    bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (plain[1], state))
+    if problem.disturbed and predicts_worse(signals, options, bare, kept):
         return plain
-    cause = cause_of_disturbance(*plain[:2], signals, free, options, begin) if problem.disturbed else None
+    cause = cause_of_disturbance(*plain[:2], signals, free, options, (begin, kept)) if problem.disturbed else None
     return (problem, state, None) if cause is None else (*plain[:2], cause)
 
 

@@ -32,6 +32,7 @@ from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
 from estimator.fitting.tolerances import with_tolerances_of, without_tolerances
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
+from estimator.free_runs import FittedModel
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import MOST_DISAGREEMENT, Combination, Finding, FitResult, HeldOut, SecondOpinion
@@ -151,7 +152,8 @@ def _held_out(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
             first = estimate(train, mechanism, options, "mle")
             second = shoot_from(train, mechanism, options, first)
             held_out = split_signals(test, mechanism, options)
-            errors.append(errors_ahead(held_out, mechanism, options.hold, options, (first.beta, second.beta)))
+            models = [FittedModel(mechanism, options.hold, one.beta) for one in (first, second)]
+            errors.append(errors_ahead(held_out, models, options))
         except (FitError, np.linalg.LinAlgError):
             return None
     error = np.concatenate(errors, axis=1)

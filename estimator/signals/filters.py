@@ -143,13 +143,15 @@ def encoder_level(angle: FloatArray) -> float:
 def quantum(x: FloatArray) -> float:
     """Grid step of a quantised signal x (n,), 0 where the samples show no grid.
 
-    The smallest step between distinct values is a quantum if all steps are whole multiples of it.
+    The smallest step between distinct values is a quantum if all steps are whole multiples of it. Values that differ by
+    less than 1e-9 of the largest are one.
     """
-    steps = np.diff(np.unique(x))
+    values = np.unique(x)
+    steps, biggest = np.diff(values), float(np.max(np.abs(values), initial=0.0))
+    steps = steps[steps > 1e-9 * biggest]  # a file's digits, and what fades out towards zero, are no steps
     if steps.size < 3:
         return 0.0
     smallest = float(np.min(steps))
-    biggest = float(np.max(np.abs(x)))
     small = steps[steps < 50.0 * smallest]
     ratio = small / smallest
     tolerance = 1e-9 * biggest / smallest + 0.02

@@ -78,9 +78,6 @@ def fit_trust(result: FitResult) -> Trust:
     torque = list(torque_fits(result).values())
     disputes = any(one.kind == "runs_disagree" for one in findings)
     tested = result.method in ("mle", "shooting")
-    if result.method == "shooting" and {one.kind for one in suspect} == {"estimators_disagree"}:
-        return Trust("caution", "TRUST WITH CARE: two estimators disagree; multiple shooting is reported.",
-                     (*reasons, *facts))
     if suspect:
         use = () if not torque else (
             "Good for torque feedforward within the fitted motion." if min(torque) >= GOOD_FIT else

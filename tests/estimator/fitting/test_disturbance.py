@@ -17,9 +17,11 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
+from estimator.fitting.disturbance_cause import cause_of_disturbance
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.wls import free_mask
+from estimator.free_runs import FittedModel
 from estimator.likelihood import OFF, LatentProblem
 from estimator.model import leg2
 from estimator.signals import split_signals
@@ -81,9 +83,26 @@ def test_parameters_that_predict_worse_are_seen(wandering: Made) -> None:
     mechanism = leg2(lever_arm=leg.lever)
     signals, truth = split_signals([data], mechanism, OPTIONS), leg.beta()
     wrong = truth * np.where(np.arange(9) < 5, 0.5, 1.0)
-    assert predicts_worse(signals, mechanism, "linear", OPTIONS, (truth, wrong))
-    assert not predicts_worse(signals, mechanism, "linear", OPTIONS, (truth, 1.001 * truth))
-    assert not predicts_worse(signals, mechanism, "linear", OPTIONS, (wrong, truth))
+    right, near, off = (FittedModel(mechanism, "linear", beta) for beta in (truth, 1.001 * truth, wrong))
+    assert predicts_worse(signals, OPTIONS, right, off)
+    assert not predicts_worse(signals, OPTIONS, right, near)
+    assert not predicts_worse(signals, OPTIONS, off, right)
+
+
+def test_an_effect_of_a_fit_that_went_astray_explains_no_disturbance(wandering: Made) -> None:
+    """There a disturbance is small, and next to no effect is left of it: but a second is predicted worse."""
+    leg, data, _ = wandering
+    mechanism = leg2(lever_arm=leg.lever)
+    signals = split_signals([data], mechanism, OPTIONS)
+    problem, large = LatentProblem(signals, mechanism, "linear"), np.array([0.0, 10.0])
+    state = start_state(problem, signals, mechanism, OPTIONS, *free_mask(mechanism, OPTIONS))
+    kept = FittedModel(mechanism, "linear", leg.beta())
+    found = []
+    for beta in (leg.beta(), leg.beta() * np.where(np.arange(9) < 5, 0.5, 1.0)):
+        given, held = replace(state, beta=beta), np.zeros(9, dtype=bool)
+        found.append(cause_of_disturbance(problem, given, signals, held, OPTIONS, (
+            Disturbance(large, np.ones(2), state.noise.torque), kept)))
+    assert found[0] is not None and found[1] is None
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from estimator.signals import causal, lowpass
+from estimator.signals import causal, encoder_level, lowpass
 
 
 @pytest.mark.parametrize("order", range(1, 9))
@@ -25,3 +25,12 @@ def test_the_causal_filter_is_scipys(numerator: list[float], denominator: list[f
     known = lfilter(numerator, denominator, x)
     found = causal(x, np.array(numerator), np.array(denominator))
     np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
+
+
+@pytest.mark.parametrize("fading", [0.0, 1e-25])
+def test_an_encoder_is_as_exact_as_its_counts(fading: float) -> None:
+    """Of a record that is at rest for half of its time; a file's zeros may be what a filter left of them."""
+    count = 2.0 * np.pi / 8192
+    angle = np.round(np.where(np.arange(2000) < 1000, 0.0, np.sin(0.003 * np.arange(2000))) / count) * count
+    angle[:50] += fading * np.arange(50)
+    assert encoder_level(angle) == pytest.approx(count / np.sqrt(12.0), rel=1e-6)
