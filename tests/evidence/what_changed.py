@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 import legid
-from daq import Dataset, InputError, load_rig
+from daq import Dataset, InputError, WorkError, load_rig
 from estimator import FitError
 from estimator.change import ChangedCause
 from experiments.documents import finite
@@ -91,7 +91,7 @@ def free_run_error(record: str, reference: tuple[int, ...], fault: str, size: fl
     test = spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
     try:
         found = legid.validate(model_of(record, reference), test, load_rig(RIGS / RECORDS[record].rig))
-    except (FitError, InputError):
+    except (FitError, InputError, WorkError):  # also of a reference that determines too little
         return {}
     row = next(one for one in found.horizons if one.horizon_s == PIECE_S)
     return {name: finite(error) for name, error in row.rmse.items()}
@@ -101,7 +101,7 @@ def ratio_at(record: str, reference: tuple[int, ...], fault: str, size: float) -
     """Free-run error with the fault over that without, as rms over the angles; infinite where it cannot be had."""
     plain = free_run_error(record, reference, UNTOUCHED, 0.0)
     found = free_run_error(record, reference, fault, size)
-    if set(found) != set(plain):
+    if not plain or set(found) != set(plain):
         return float("inf")
     return float(np.sqrt(np.mean([(found[name] / plain[name]) ** 2 for name in plain])))
 
