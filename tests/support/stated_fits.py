@@ -42,6 +42,9 @@ class Named:
     def key(self) -> str:
         return self.name
 
+    def possible(self, size: FloatArray) -> bool:
+        return True
+
     def at_limits(self, size: FloatArray) -> FloatArray:
         return np.isinf(size)
 
