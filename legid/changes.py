@@ -27,28 +27,18 @@ from experiments.reports import (
     write_investigation,
     write_watch,
 )
-from legid.tables import Shown, columns, frame, html_table, or_inf, paragraphs
+from legid.tables import Judged, Shown, columns, frame, html_table, or_inf, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
 
-class Change(Shown, ChangeDocument, kw_only=True):
+class Change(Judged, ChangeDocument, kw_only=True):
     """Change since earlier runs: `legid.diagnosis/1` with `against`, whose keys are its fields.
 
     `Change.read(path)` gives one of a file.
     """
-
-    @property
-    def failed(self) -> bool:
-        """Whether no answer is possible; `sentence` says why."""
-        return self.verdict == "fit_failed"
-
-    def check(self) -> None:
-        """Raises `WorkError` for one that failed."""
-        if self.failed:
-            raise WorkError(self.sentence)
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid diagnose --against` prints; the next step names `files`."""

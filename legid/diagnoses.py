@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from daq import Dataset, Rig, WorkError
+from daq import Dataset, Rig
 from estimator.diagnosis import Diagnosis as Details
 from experiments.documents import DiagnosisDocument
 from experiments.judge import Files
@@ -20,7 +20,7 @@ from experiments.reports import (
     write_diagnosis,
 )
 from experiments.session import Prepared
-from legid.tables import Shown, columns, frame, html_table, kept_with, or_inf, paragraphs
+from legid.tables import Judged, columns, frame, html_table, kept_with, or_inf, paragraphs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ class Made(NamedTuple):
     rig: Rig
 
 
-class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
+class Diagnosis(Judged, DiagnosisDocument, kw_only=True, dict=True):
     """`legid.diagnosis/1`: errors of the simulation, their causes, and the gain of extending the model.
 
     Its fields are the keys of the JSON. `Diagnosis.read(path)` gives one of a file, which has no models and no curves:
@@ -76,16 +76,6 @@ class Diagnosis(Shown, DiagnosisDocument, kw_only=True, dict=True):
     def rig(self) -> Rig:
         """The rig of these runs."""
         return self._made().rig
-
-    @property
-    def failed(self) -> bool:
-        """Whether no answer is possible; `sentence` says why."""
-        return self.verdict == "fit_failed"
-
-    def check(self) -> None:
-        """Raises `WorkError` for one that failed."""
-        if self.failed:
-            raise WorkError(self.sentence)
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid diagnose` prints. The next step names `files`."""

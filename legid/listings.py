@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,15 +37,15 @@ if TYPE_CHECKING:
     from daq import Rig
 
 
-class Listing(Shown):
+class Listing(Shown, ABC):
     """A result whose JSON is made when it is asked for."""
 
     provenance: Origin | None = None
 
     @property
+    @abstractmethod
     def document(self) -> dict[str, Any]:
         """The JSON as a dictionary, without its provenance."""
-        raise NotImplementedError
 
     def to_json(self, path: Path | str) -> None:
         """Write the JSON as the command's --json does. Raises `InputError`."""

@@ -23,6 +23,23 @@ class Shown:
         """Raises `WorkError` for a result that is no use, such as a fit that did not converge."""
 
 
+class Judged(Shown):
+    """A result with a verdict and its sentence, which can be that no answer is possible."""
+
+    verdict: Any
+    sentence: Any
+
+    @property
+    def failed(self) -> bool:
+        """Whether no answer is possible; `sentence` says why."""
+        return bool(self.verdict == "fit_failed")
+
+    def check(self) -> None:
+        """Raises `WorkError` for one that failed."""
+        if self.failed:
+            raise WorkError(self.sentence)
+
+
 def kept_with(document: object, name: str, lack: str) -> Any:
     """Input from which a verb made `document`. Raises `WorkError` for a document of a file, which lacks that."""
     try:

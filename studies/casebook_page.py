@@ -241,7 +241,7 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
         rows += [[f"residual over the torque that drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
                  for j, (b, a) in enumerate(zip(*d.residual_percent())) if np.isfinite(b)]
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows, {1, 2, 3},
-                            f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(told)}"))
+                            f"on the held-out runs {', '.join(found.confirm_runs)}. {gap_text(told)}"))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
     tables += [] if told.gain.pieces is UNSET else [piece_table(told.gain.pieces)]
     limits = signature_limits(found.signatures)
