@@ -103,7 +103,7 @@ def fits() -> dict[str, tuple[FittedModel, FloatArray]]:
     """Estimator to our model of the train runs, and half of the 95 % interval of each parameter, in volts."""
     rig, train, found = load_rig(RIG), records(TRAIN), {}
     for method in ("wls", "mle"):
-        result = legid.fit(train, rig, choose=False, method=method)
+        result = legid.fit(train, rig, choose=False, method=method).estimate  # values, open or not
         found[method] = FittedModel(result.mechanism, rig.sampling.hold, result.beta), 1.96 * result.std
     return found
 
