@@ -85,6 +85,8 @@ class HoldChoice(NamedTuple):
     [s]."""
 
     def __str__(self) -> str:
+        if self.next == self.hold:
+            return "it acts as late as these data ask without a delay; declare hold under [sampling] where it is known"
         if self.margin < PRIOR:
             return (f"these data hardly separate it from '{self.next}' (log-likelihood {self.margin:+.1f}); declare "
                     "hold under [sampling]")

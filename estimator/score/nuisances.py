@@ -103,13 +103,16 @@ def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, state
 
 
 def torque_reach(problem: LatentProblem) -> FloatArray:
-    """(n,) quantile REACHED of the measured torque's size; of a joint without a motor, the largest of all joints'."""
+    """(n,) quantile REACHED of the measured torque's size; of a joint without a motor, the largest of all joints'.
+
+    Zero where no joint has one: nothing then tells how large a torque may be that is left out, and only the tolerances
+    of readings count.
+    """
     driven = list(problem.mechanism.actuated)
     reach = np.zeros(problem.n)
     if driven:
         reach[driven] = np.quantile(np.abs(np.nan_to_num(problem.torque[:, driven])), REACHED, axis=0)
-    most = float(reach.max(initial=0.0)) or 1.0
-    return np.where(reach > 0.0, reach, most)
+    return np.where(reach > 0.0, reach, reach.max(initial=0.0) or float(bool(driven)))
 
 
 def default_tolerances() -> dict[str, tuple[float, ...]]:
@@ -146,7 +149,7 @@ def _stated(effect: Effect, stated: Stated) -> tuple[float, ...]:
 
 def _tolerances(effect: Effect, stated: Stated, reach: FloatArray, slide: bool) -> list[float]:
     if isinstance(effect, GenericTorque | GenericReading):
-        factor = float(stated.get(STRUCTURE, (1.0,))[0]) * float(reach.max()) ** -POWERS_OF_U.get(effect.label, 0)
+        factor = float(stated.get(STRUCTURE, (1.0,))[0]) * _raised(reach.max(), -POWERS_OF_U.get(effect.label, 0))
         if slide and isinstance(effect, GenericReading) and effect.channel.kind == "encoder":
             factor *= WHEEL_M
         return [factor * _scaled(size, effect, reach) for size in effect.sizes]
@@ -156,9 +159,14 @@ def _tolerances(effect: Effect, stated: Stated, reach: FloatArray, slide: bool) 
 
 
 def _scaled(size: Size, effect: Effect, reach: FloatArray) -> float:
-    scale = float(reach.max() if effect.joint is None else reach[effect.joint]) ** torque_power(size.unit)
+    scale = _raised(reach.max() if effect.joint is None else reach[effect.joint], torque_power(size.unit))
     wheel = WHEEL_M if effect.slide and re.match(r"rad\b", size.unit) else 1.0
     return size.tolerance * scale * wheel
+
+
+def _raised(reach: float, power: int) -> float:
+    """`reach` to a power of torque; zero where nothing is driven and the power is not zero."""
+    return float(reach**power) if reach > 0.0 else float(power == 0)
 
 
 def _place(effect: Effect) -> tuple[str, str]:

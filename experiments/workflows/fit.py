@@ -121,9 +121,7 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
 def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Finding, ...]]:
     """A fit, and what its set-up contradicts. Raises `FitError`, naming the remedies."""
     try:
-        # ratios of parameters have no budget: tolerances of torques say nothing where no joint is driven
-        tolerances = setup.tolerances if setup.mechanism.actuated else None
-        options = replace(setup.options, seeks_omitted=True, tolerances=tolerances, gear_ratio=setup.gear_ratio)
+        options = replace(setup.options, seeks_omitted=True, tolerances=setup.tolerances, gear_ratio=setup.gear_ratio)
         result = fit_admissible(setup.datasets, setup.mechanism, options, method)
     except FitError as error:
         fixes = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies

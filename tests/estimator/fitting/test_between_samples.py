@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from daq import Dataset
 from estimator import FitOptions, fit
 from estimator.fitting import between_samples
+from estimator.fitting.hold_choice import HoldChoice
 from estimator.model import HOLDS, Collocation, lag, leg2
 from estimator.model.collocation import GAUSS, spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
@@ -154,3 +155,9 @@ def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:
     short = [replace(run.part(slice(k, k + 60)), name=f"r{k}") for k in range(300, 1400, 60)]
     hold, *_ = between_samples(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
     assert hold in HOLDS
+
+
+def test_a_hold_is_not_compared_with_itself() -> None:
+    """A held torque that is late may be likelier than the same hold in time, which is chosen for its simplicity."""
+    assert "'zero'" not in str(HoldChoice("zero", -62.9, "zero"))
+    assert "'smooth'" in str(HoldChoice("zero", 1.0, "smooth"))
