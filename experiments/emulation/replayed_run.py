@@ -42,8 +42,8 @@ from drivers.mock import ReplayBus, ReplayLink, VirtualClock, fault_report, fram
 LEAD_NS = 10_000_000_000
 """Time in which the devices are opened, before the recording's first."""
 BY_DRIVERS = {"firmware", "link", "imu gap", "fault", "reboot"}
-"""Notes that drivers and intakes make again; all others are the recorder's own, and are copied. The IMU's says how old its
-readings were, which a driver does not know of a run of an earlier version."""
+"""Notes that drivers and intakes make again; all others are copied. The IMU's is: it says how old readings were, which
+a driver does not know of an earlier version's run."""
 TRANSFER = ("host_before_ns", "host_after_ns")
 AXES = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
 ADDRESS = 0x6B
