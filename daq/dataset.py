@@ -14,6 +14,7 @@ from daq.findings import Damage, Flag, ReadingFault, Steps
 if TYPE_CHECKING:
     from daq.loop import Loop
     from daq.rig import Rig
+    from daq.rig_imu import Imu
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -47,6 +48,8 @@ class Dataset:
     """The touchdowns by which a walker's run was cut."""
     recorded_on: Rig | None = None
     """The rig file that a native run holds."""
+    imu: Imu | None = None
+    """Settings of the IMU that recorded it, by which its readings have an age."""
     torque_delay_s: float = 0.0
     """By how much its torques were moved, from when they were measured to when they act [s]."""
     imu_age_s: float | None = None

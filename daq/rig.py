@@ -200,9 +200,9 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
         half = self.calibration.torque_constant_half_nm_per_a
         if half is not None and "none" not in found:
             found.setdefault("torque_gain", (half / 1.96 / self.calibration.torque_constant_nm_per_a,))
-        ages = [imu.age for imu in self.imus if imu.age is not None]
-        if ages and "none" not in found:
-            found.setdefault("sensor_time_skew", (max(age.std_s for age in ages),))
+        age_std_s = max(imu.age_std_s for imu in self.imus)
+        if age_std_s and "none" not in found:
+            found.setdefault("sensor_time_skew", (age_std_s,))
         own = {} if self.servo is None or "none" in found else self.servo.tolerances
         return {**own, **found}
 
@@ -210,6 +210,12 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def imus(self) -> tuple[Imu, ...]:
         """In the file's order; one on link 1 where none is declared."""
         return self.imu if isinstance(self.imu, tuple) else (self.imu or Imu(),)
+
+    def told_by(self, device: Imu | None) -> Rig:
+        """The rig with what the recorder's own IMU, its first, says of its age, where the file says nothing of it."""
+        first, *others = self.imus
+        own = first.told_by(device)
+        return self if own is first else structs.replace(self, imu=(own, *others))
 
 
 def _listed(entry: float | tuple[float, ...]) -> tuple[float, ...]:

@@ -72,6 +72,11 @@ class ImuConfig:
         return (math.radians(GYRO_MDPS_PER_LSB[self.gyro_range_dps] * 1e-3),
                 ACCEL_MG_PER_LSB[self.accel_range_g] * 1e-3 * reg.STANDARD_GRAVITY)
 
+    @property
+    def cutoffs_hz(self) -> tuple[float, float]:
+        """(gyro, accelerometer) -3 dB points of the low passes that `registers` sets."""
+        return reg.GYRO_CUTOFF_HZ[self.rate_hz], reg.ACCEL_CUTOFF_HZ[self.rate_hz]
+
     def registers(self) -> tuple[tuple[int, int], ...]:
         """(register, value) in the order in which they are written; FIFO_CTRL last starts the FIFO."""
         odr = ODR_HZ[self.rate_hz] << 5

@@ -42,6 +42,10 @@ SAMPLE_BYTES = 12
 
 ODR_HZ: dict[float, int] = {14.9: 1, 59.5: 2, 119.0: 3, 238.0: 4, 476.0: 5, 952.0: 6}
 """Rate of both sensors to the code in CTRL_REG1_G[7:5] (table 46)."""
+GYRO_CUTOFF_HZ: dict[float, float] = {14.9: 5.0, 59.5: 19.0, 119.0: 38.0, 238.0: 76.0, 476.0: 100.0, 952.0: 100.0}
+"""-3 dB point of LPF1, from which CTRL_REG2_G = 0 takes the gyro (table 46)."""
+ACCEL_CUTOFF_HZ: dict[float, float] = {14.9: 408.0, 59.5: 408.0, 119.0: 50.0, 238.0: 105.0, 476.0: 211.0, 952.0: 408.0}
+"""-3 dB point of the accelerometer's anti-alias filter as its rate selects it: CTRL_REG6_XL with BW_SCAL_ODR = 0."""
 GYRO_FS_CODE: dict[int, int] = {245: 0b00, 500: 0b01, 2000: 0b11}
 """Full scale [dps] to CTRL_REG1_G[4:3]; 10 is not allowed."""
 ACCEL_FS_CODE: dict[int, int] = {2: 0b00, 16: 0b01, 4: 0b10, 8: 0b11}

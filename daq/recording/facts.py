@@ -31,13 +31,21 @@ def describe_devices(writer: RunWriter, controller: Drive, imu: Lsm9ds1 | None, 
     if controller.link_facts:
         writer.config(now_ns, "link", msgspec.json.encode(controller.link_facts).decode())
     if imu is not None:
-        gyro, accel = imu.scale
-        facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
-                 "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
-                 "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
-        writer.config(now_ns, "imu", msgspec.json.encode(facts).decode())
+        writer.config(now_ns, "imu", msgspec.json.encode(imu_facts(imu)).decode())
     if sensors is not None and sensors.shunt is not None:
         writer.config(now_ns, "shunt", msgspec.json.encode(shunt_facts(sensors.shunt)).decode())
+
+
+def imu_facts(imu: Lsm9ds1) -> dict[str, object]:
+    """Facts that convert the readings of the IMU, and those that say how old they are: see `daq.Imu`.
+
+    `fit_samples` gives each sample the time at which the chip put it into its FIFO.
+    """
+    gyro, accel = imu.scale
+    return {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
+            "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
+            "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None,
+            "cutoff_hz": imu.config.cutoffs_hz, "stamped": "sample"}
 
 
 def shunt_facts(shunt: CurrentShunt) -> dict[str, float | str]:

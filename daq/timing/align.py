@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,7 @@ from daq.errors import InputError
 from daq.findings import Flag
 from daq.looks import look
 from daq.rig import Rig, parse_rig
+from daq.rig_imu import Imu
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
@@ -141,7 +143,8 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
         own = recorded_rig(raw) if "rig.toml" in raw.files else None
     except InputError as error:
         flagged = (*flagged, Flag("rig", f"the rig file inside it cannot be read: {error}"))
-    return replace(dataset, clock_bound_s=found.bound_s, damage=raw.damage, flags=flagged, recorded_on=own)
+    return replace(dataset, clock_bound_s=found.bound_s, damage=raw.damage, flags=flagged, recorded_on=own,
+                   imu=_imu_settings(raw))
 
 
 def recorded_rig(raw: RawRun) -> Rig:
@@ -284,6 +287,21 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
     inside = (np.abs(counts[:, used].astype(np.int32)) < RAIL).all(axis=1)  # clipped, it says only that it was more
     rows, counts = rows[inside], counts[inside]
     return TimedColumns(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
+
+
+def _imu_settings(raw: RawRun) -> Imu | None:
+    """What the recorder says of the age of its IMU's readings; None for runs of earlier versions."""
+    facts = configured(raw, "imu")
+    if "stamped" not in facts:
+        return None
+    try:
+        found = msgspec.convert({"odr_hz": facts.get("rate_hz"), "cutoff_hz": facts.get("cutoff_hz"),
+                                 "stamped": facts["stamped"]}, Imu)
+    except msgspec.ValidationError as error:
+        raise unusable(raw, f"has settings of its IMU that cannot be: {error}") from None
+    if found.lack is not None:
+        raise unusable(raw, found.lack[0])
+    return found
 
 
 def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> TimedColumns:

@@ -59,6 +59,11 @@ class MockLsm9ds1:
         return (GYRO_RANGE.get(self._registers[reg.CTRL_REG1_G] >> 3 & 3, 245),
                 ACCEL_RANGE[self._registers[reg.CTRL_REG6_XL] >> 3 & 3])
 
+    @property
+    def cutoffs_hz(self) -> tuple[float, float]:
+        """(gyro, accelerometer) -3 dB points of its low passes at this rate."""
+        return reg.GYRO_CUTOFF_HZ[self.rate_hz], reg.ACCEL_CUTOFF_HZ[self.rate_hz]
+
     def push(self, raw: Sequence[int]) -> None:
         """A new sample: gyro x y z, accelerometer x y z [LSB], already clipped to int16."""
         data = b"".join(int(v).to_bytes(2, "little", signed=True) for v in self._deflected(raw))

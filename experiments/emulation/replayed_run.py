@@ -41,8 +41,9 @@ from drivers.mock import ReplayBus, ReplayLink, VirtualClock, fault_report, fram
 
 LEAD_NS = 10_000_000_000
 """Time in which the devices are opened, before the recording's first."""
-BY_DRIVERS = {"firmware", "link", "imu", "imu gap", "fault", "reboot"}
-"""Notes that drivers and intakes make again; all others are the recorder's own, and are copied."""
+BY_DRIVERS = {"firmware", "link", "imu gap", "fault", "reboot"}
+"""Notes that drivers and intakes make again; all others are copied. The IMU's is: it says how old readings were, which
+a driver does not know of an earlier version's run."""
 TRANSFER = ("host_before_ns", "host_after_ns")
 AXES = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
 ADDRESS = 0x6B
@@ -126,7 +127,7 @@ class _Player:
             others = self._others(writer)
             senses = Senses(rig, hello, leg, samples, imu.config.rate_hz if imu else 1.0, now_ns(), others,
                             self._polled)
-            describe_devices(writer, controller, imu, now_ns())
+            describe_devices(writer, controller, None, now_ns())
             steps = [self._polls(leg), self._pings(leg), self._commands(controller, writer, senses),
                      self._notes(writer), self._readings(others)]
             if bus is not None and samples is not None:

@@ -139,8 +139,11 @@ def _clocks(raw: RawRun) -> list[str]:
     lines += [f"warning: a fit of this run is suspect: {flag}" for flag in found.flags]
     lines += [f"warning: {fault}" for fault in fine.readings]
     if skew is not None:
+        ages = None if fine.imu is None else fine.imu.ages
+        own = "" if ages is None else (f"; its low pass alone: {ages[0].mean_s * 1e3:+.2f} +- "
+                                       f"{ages[0].std_s * 1e3:.2f} ms")
         lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
-                     f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")
+                     f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late{own})")
     elif raw.streams["/imu"].size:
         lines.append("IMU against encoders: not measurable here (no pivot angle, or too little motion)")
     return lines + clock_warnings(clock_bound_s(raw), configured(raw, "link"))

@@ -73,7 +73,7 @@ def rig_toml(facts: RigFacts) -> str:
                 if facts.voltage else []), "",
               *(_servo() if facts.servo else []),
               "[imu]", line("lever_arm_m", _number(facts.lever_arm_m), "pivot to IMU along link 1 [m]", "lever_arm_m"),
-              "# cutoff_hz = 76.0               # its own low pass [Hz], as an LSM9DS1 at 238 Hz; absent: estimated",
+              "# cutoff_hz = [76.0, 105.0]      # low passes of gyro, accelerometer [Hz]; absent: of the recorder",
               '# stamped = "sample"             # its times: sample | arrival, the second needs odr_hz',
               "", "[motor]",
               line("gear_ratio", _number(facts.gear_ratio), "motor turns per turn of the joint", "gear_ratio"),

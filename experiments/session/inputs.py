@@ -26,7 +26,7 @@ def driven(data: Dataset, rig: Rig) -> Dataset:
     """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
     a torque channel what its law gives, and a gap where the motor is off; with the absolute angle that a distance meter
     shows; and a walker's cut into steps. A torque is where `[timing]` says that it acts, an IMU's reading where
-    `[imu]` says that it was true.
+    `[imu]` or the recorder says that it was true.
 
     A voltage is in the column `voltage1_v` [V]; every parameter is then in volt units. A run that has its input is
     returned with it as it is. Raises `FitError` where a walker's steps cannot be told.
@@ -62,22 +62,23 @@ def with_delay(data: Dataset, delay_s: float) -> Dataset:
 
 
 def with_imu_age(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the readings of its IMUs when they were true: earlier than their stamps by the nominal age that
-    `[imu]` gives.
+    """`data` with the readings of its IMUs when they were true: earlier than their stamps by the nominal ages of gyro
+    and accelerometer, which `[imu]` gives, else the recorder.
 
     Readings that were taken after the run's end are gaps. What may remain, twice the age's standard deviation, is added
-    to the bound of its clocks. Returned as it is where the rig file gives no age, or the readings are in place.
+    to the bound of its clocks. Returned as it is where neither gives an age, or the readings are in place.
     """
-    ages = {k: imu.age for k, imu in enumerate(rig.imus) if imu.age is not None and imu_columns(k)[0] in data}
+    imus = {k: imu for k, imu in enumerate(rig.told_by(data.imu).imus) if imu_columns(k)[0] in data}
+    ages = [(name, age.mean_s) for k, imu in imus.items() if imu.ages is not None
+            for name, age in zip(imu_columns(k), (imu.ages[0], imu.ages[1], imu.ages[1]), strict=True) if name in data]
     if data.imu_age_s is not None or not ages:
         return data
     columns = dict(data.columns)
-    for k, age in ages.items():
-        early = -age.mean_s * data.rate_hz
-        names = [name for name in imu_columns(k) if name in data]
-        columns |= _moved(data, names, early, partial(shifted, samples=early))
-    return replace(data, columns=columns, imu_age_s=max(age.mean_s for age in ages.values()),
-                   clock_bound_s=data.clock_bound_s + AGES * max(age.std_s for age in ages.values()))
+    for name, age_s in ages:
+        early = -age_s * data.rate_hz
+        columns |= _moved(data, [name], early, partial(shifted, samples=early))
+    return replace(data, columns=columns, imu_age_s=max(age_s for _, age_s in ages),
+                   clock_bound_s=data.clock_bound_s + AGES * max(imu.age_std_s for imu in imus.values()))
 
 
 def _moved(data: Dataset, names: Sequence[str], samples: float, move: Callable[[FloatArray], FloatArray]

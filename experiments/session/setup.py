@@ -80,11 +80,12 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
     ages = {d.imu_age_s for d in datasets if d.imu_age_s is not None}
-    aged = [f"the IMU's readings are used {1e3 * age:.3g} ms before their stamps: [imu] says that they are so old"
+    aged = [f"the IMU's readings are used up to {1e3 * age:.3g} ms before their stamps: by its settings they are so old"
             for age in sorted(ages)]
+    device = max((d.imu for d in datasets if d.imu is not None), key=lambda imu: imu.age_std_s, default=None)
     notes = (*[FREE_SWING] * free_swing, *aged, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio,
-                        stated_tolerances(rig, mechanism)), beta)
+                        stated_tolerances(rig.told_by(device), mechanism)), beta)
 
 
 def stated_tolerances(rig: Rig, mechanism: Mechanism) -> dict[str, tuple[float, ...]] | None:

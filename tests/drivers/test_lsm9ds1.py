@@ -57,6 +57,19 @@ def bench() -> Bench:
     return bench
 
 
+@pytest.mark.parametrize(("rate_hz", "gyro_hz", "accel_hz"), [
+    (14.9, 5.0, 408.0), (59.5, 19.0, 408.0), (119.0, 38.0, 50.0), (238.0, 76.0, 105.0), (476.0, 100.0, 211.0),
+    (952.0, 100.0, 408.0)])
+def test_low_passes_of_the_datasheet_where_its_registers_choose_none(rate_hz: float, gyro_hz: float, accel_hz: float
+                                                                     ) -> None:
+    config = ImuConfig(rate_hz)
+    written = dict(config.registers())
+    assert config.cutoffs_hz == (gyro_hz, accel_hz)
+    assert written[0x11] == 0x00  # OUT_SEL: behind LPF1
+    assert not written[0x20] & 0b111 and not written[0x10] & 0b11  # BW_SCAL_ODR, BW_XL, BW_G
+    assert written[0x21] == 0x00  # no digital filter of the accelerometer
+
+
 def test_configuration_bytes_of_the_datasheet() -> None:
     bench = Bench(ImuConfig(rate_hz=952.0, accel_range_g=16, gyro_range_dps=2000))
     bench.driver.open()

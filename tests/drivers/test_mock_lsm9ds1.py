@@ -8,7 +8,7 @@ from smbus2 import i2c_msg
 
 from drivers.mock.clock import VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.plant import StillPlant, StillState
+from drivers.mock.plant import Plant, StillPlant, StillState
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import ImuSettings
 
@@ -137,8 +137,12 @@ def test_time_on_the_wire(wire: Wire, clock: VirtualClock) -> None:
 
 def rig_samples(state: StillState, settings: ImuSettings, seconds: float, xl: int = 0x90,
                 gyro: int = 0x88) -> np.ndarray:
+    return samples_of(StillPlant(state), settings, seconds, xl, gyro)
+
+
+def samples_of(plant: Plant, settings: ImuSettings, seconds: float, xl: int = 0x90, gyro: int = 0x88) -> np.ndarray:
     clock = VirtualClock()
-    rig = MockRig(StillPlant(state), clock, imu=settings)
+    rig = MockRig(plant, clock, imu=settings)
     wire = Wire(rig.imu)
     wire.write(0x10, gyro)
     wire.write(0x20, xl)
@@ -186,3 +190,27 @@ def test_clips_at_full_scale() -> None:
 
 def test_same_seed_same_samples() -> None:
     assert np.array_equal(rig_samples(StillState(), ImuSettings(), 0.3), rig_samples(StillState(), ImuSettings(), 0.3))
+
+
+class Ramp:
+    """A leg whose speed and acceleration both grow evenly, from 0.3 s on."""
+
+    def __init__(self) -> None:
+        self.t_s = 0.0
+
+    def step(self, dt_s: float, torque_nm: float) -> StillState:
+        self.t_s += dt_s
+        since = max(self.t_s - 0.3, 0.0)
+        return StillState(q1d=8.0 * since, q1dd=100.0 * since)
+
+
+@pytest.mark.parametrize(("gyro", "gyro_hz", "accel_hz"), [
+    (0x68, 38.0, 50.0), (0x88, 76.0, 105.0), (0xA8, 100.0, 211.0)])
+def test_readings_of_a_ramp_lag_by_the_time_constants_of_the_low_passes(gyro: int, gyro_hz: float, accel_hz: float
+                                                                        ) -> None:
+    quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0, lever_arm_m=0.2, gravity_mps2=0.0)
+    found = samples_of(Ramp(), quiet, 0.9, gyro=gyro)[-20:]
+    speed, across = np.radians(found[:, 2] * 17.5e-3), found[:, 3] * 0.122e-3 * 9.80665
+    later_s = across / (0.2 * 100.0) - speed / 8.0  # by which the gyro's ramp is behind the accelerometer's
+    want = 1.0 / (2.0 * np.pi * gyro_hz) - 1.0 / (2.0 * np.pi * accel_hz)
+    assert later_s.mean() == pytest.approx(want, abs=2e-5)

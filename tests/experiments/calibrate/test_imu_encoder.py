@@ -171,7 +171,8 @@ def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
     assert found["gyro_bias"].value == pytest.approx(0.012, abs=1e-3)
     for name in ("gyro_scale", "accel_scale_x", "accel_scale_y"):
         assert abs(found[name].value) < 0.01
-    assert abs(found["gyro_late"].value) < 5e-4
+    assert found["gyro_late"].value == pytest.approx(1.0 / (2.0 * np.pi * 100.0), abs=5e-4)  # its low pass at 476 Hz
+    assert found["accel_late"].value == pytest.approx(1.0 / (2.0 * np.pi * 211.0), abs=5e-4)
     assert found.after[1, 0] < 0.5 * found.before[1, 0]
 
 

@@ -30,15 +30,16 @@ def runs_of(age_s: float, count: int = 2) -> tuple[Leg, list[Dataset]]:
     (f'odr_hz = {ODR_HZ}\nstamped = "sample"\n', 0.0, 0.0)])
 def test_the_nominal_age_is_between_those_of_both_orders_and_both_arrivals(settings: str, least_s: float, most_s: float
                                                                            ) -> None:
-    age = parse_rig(RIG + settings).imus[0].age
-    assert age is not None
+    ages = parse_rig(RIG + settings).imus[0].ages
+    assert ages is not None and ages[0] == ages[1]
+    age = ages[0]
     assert age.mean_s == pytest.approx(0.5 * (least_s + most_s))
     assert age.mean_s - age.std_s <= least_s and most_s <= age.mean_s + age.std_s
 
 
 def test_a_rig_that_says_nothing_of_it_has_no_age() -> None:
     rig = parse_rig(RIG + f"odr_hz = {ODR_HZ}\n")
-    assert rig.imus[0].age is None and "sensor_time_skew" not in rig.tolerances
+    assert rig.imus[0].ages is None and "sensor_time_skew" not in rig.tolerances
     assert parse_rig(RIG + SETTINGS).tolerances["sensor_time_skew"] == pytest.approx((1.27e-3,), abs=2e-5)
     with pytest.raises(InputError, match="odr_hz"):
         parse_rig(RIG + 'stamped = "arrival"\n')
@@ -48,8 +49,9 @@ def test_readings_are_moved_once_and_what_was_not_read_is_a_gap() -> None:
     leg, runs = runs_of(0.0, 1)
     rig = parse_rig(RIG + f"lever_arm_m = {leg.lever}\n" + SETTINGS)
     (moved,) = prepare(runs, rig).setup.datasets
-    age = rig.imus[0].age
-    assert age is not None and moved.imu_age_s == age.mean_s and moved.clock_bound_s == 2.0 * age.std_s
+    assert rig.imus[0].ages is not None
+    age, _ = rig.imus[0].ages
+    assert moved.imu_age_s == age.mean_s and moved.clock_bound_s == 2.0 * age.std_s
     (again,) = prepare([moved], rig).setup.datasets
     np.testing.assert_array_equal(again["gyro_radps"], moved["gyro_radps"])
     lost = int(np.ceil(age.mean_s * moved.rate_hz))
