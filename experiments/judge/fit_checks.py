@@ -28,7 +28,8 @@ REPEATED, SEGMENTS = 0.5, 8
 LEAST_P = 1e-9
 """A smaller probability is printed as this one."""
 HELD = ("torque_residual", "passive_joint", "sensor_residual", "repeating_torque", "omitted_effect")
-"""Kinds of findings, all of residuals, that intervals with a budget hold, where the runs enlarge no tolerance by more than ..."""
+"""Kinds of findings, all of residuals, that intervals with a budget hold, where the runs enlarge no tolerance by more
+than ..."""
 ALLOWED = 4.0
 """... this factor."""
 PRECISE = 0.1
