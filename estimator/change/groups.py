@@ -71,9 +71,9 @@ def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
         if start in loose:
             start += candidate.width
             continue
-        found.append(Group(e.name, kind_of(type(e)), None if e.joint is None else e.joint + 1, e.sentence,
-                           columns[:, start : start + candidate.width], tuple(s.name for s in e.sizes),
-                           tuple(m.unit(s.unit) for s in e.sizes)))
+        found.append(Group(e.name, kind_of(type(e)), None if e.joint is None else e.joint + 1,
+                           e.meaning(candidate.shape), columns[:, start : start + candidate.width],
+                           tuple(s.name for s in e.sizes), tuple(m.unit(s.unit) for s in e.sizes)))
         start += candidate.width
     return tuple(found)
 

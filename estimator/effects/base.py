@@ -189,7 +189,9 @@ class Effect(ABC):
 
     name: ClassVar[str]
     sizes: ClassVar[tuple[Size, ...]]
-    shapes: ClassVar[tuple[Shape, ...]] = ()
+    shapes: tuple[Shape, ...] = ()
+    loop_shapes: ClassVar[tuple[Shape, ...]] = ()
+    """Further ones of an effect at a joint whose torque the law of a position loop gives."""
     sentence: ClassVar[str]
     """What it means, for a person."""
     reference: ClassVar[str]
@@ -245,9 +247,19 @@ class Effect(ABC):
         """Whether a device can have these sizes (count,), their signs apart."""
         return True
 
-    def told(self, size: FloatArray) -> str:
-        """`sentence` with what the signs of the sizes (count,) say, in words."""
+    def meaning(self, shape: tuple[float, ...]) -> str:
+        """`sentence`, at these values of its shapes."""
         return self.sentence
+
+    def told(self, size: FloatArray) -> str:
+        """`meaning` with what the signs of the sizes (count,) say, in words."""
+        return self.meaning(tuple(size[len(self.sizes) :]))
+
+    @property
+    def usual(self) -> tuple[float, ...] | None:
+        """Defaults of its shapes; None where a shape has none, so that sizes alone do not define the effect."""
+        found = tuple(shape.default for shape in self.shapes if shape.default is not None)
+        return found if len(found) == len(self.shapes) else None
 
     def tried(self, shape: Shape) -> tuple[float, ...]:
         """The shape's grid, in the unit that its joint moves in."""
@@ -272,8 +284,8 @@ class Effect(ABC):
     def at_limits(self, size: FloatArray) -> NDArray[np.bool_]:
         """For each shape, whether it is at a limit of its range: what the data would have there is not to be had."""
         limits = [self._range(shape) for shape in self.shapes]
-        return np.array([abs(s) <= low or abs(s) >= high for s, (low, high) in zip(size[len(self.sizes) :], limits)],
-                        dtype=bool)
+        return np.array([not shape.discrete and (abs(s) <= low or abs(s) >= high)
+                         for shape, s, (low, high) in zip(self.shapes, size[len(self.sizes) :], limits)], dtype=bool)
 
     def _range(self, shape: Shape) -> tuple[float, float]:
         magnitudes = np.abs(self.tried(shape))

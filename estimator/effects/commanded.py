@@ -53,6 +53,8 @@ class Commanded:
     told: Told
     heard: tuple[FloatArray, FloatArray]
     """Commanded angle and rate (n, ...) as the loops have them, late as stated"""
+    closed: bool = False
+    """Whether the loops act on the motion; else their input is that of the recorded angle"""
 
     @classmethod
     def of(cls, loop: Loop, supply: FloatArray, summed: FloatArray, place: FloatArray, told: Told) -> Self:

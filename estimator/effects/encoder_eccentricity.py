@@ -16,6 +16,7 @@ class EncoderEccentricity(EncoderEffect):
     sizes = (Size("sine_amplitude", "rad", 0.005, tolerance=0.002),
              Size("cosine_amplitude", "rad", 0.005, tolerance=0.002))
     sentence = "the encoder's disc is off centre: an error once a turn"
+    in_log = "the logged angle has an error once a turn, and the loop hears the true angle"
     reference = "eccentricity of a graduated disc: first harmonic of the angle measured"
     tolerance_source = "a disc 0.05 mm off centre at a radius of 25 mm"
     experiment = "a full slow turn"

@@ -15,6 +15,7 @@ class EncoderOffset(EncoderEffect):
     name = "encoder_offset"
     sizes = (Size("offset", "rad", 0.005, tolerance=0.003),)
     sentence = "the encoder's zero is wrong"
+    in_log = "the zero of the logged angle is wrong, and the loop hears the true angle"
     reference = "docs/formats.md: q2 = 0 is straight"
     tolerance_source = "a zero set by hand against a stop or a level"
     experiment = "rest hanging straight"

@@ -13,6 +13,7 @@ class EncoderScale(EncoderEffect):
     name = "encoder_scale"
     sizes = (Size("scale_error", "1", 0.01, tolerance=0.001),)
     sentence = "the encoder's scale is wrong (counts or gear ratio)"
+    in_log = "the scale of the logged angle is wrong (its unit or conversion), and the loop hears the true angle"
     reference = "counts per turn"
     tolerance_source = "counts a turn are exact; linearity of magnetic encoders such as the AS5600 over part of a turn"
     experiment = "a full turn between two known stops"

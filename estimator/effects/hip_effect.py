@@ -57,7 +57,8 @@ class _HipEffect(Effect):
 
     @property
     def parts(self) -> tuple[Joined, ...]:
-        return self.halves
+        effect = self.halves[0].effect
+        return self.halves if isinstance(effect, LawEffect) and effect.parts else ()
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         torque, at_samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)

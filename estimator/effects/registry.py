@@ -75,7 +75,10 @@ def placed(kind: type[Effect], joint: int | None, mechanism: Mechanism) -> Effec
     """An effect of this kind on this rig, at a joint (0-based), of a walker at the hip of a leg."""
     if joint is not None and joint in mechanism.exchanged:
         return hip_effect(kind, joint, mechanism.exchanged)
-    return kind(joint, mechanism.length_unit == "m")
+    slide = mechanism.length_unit == "m"
+    if issubclass(kind, EncoderEffect):
+        return kind(joint, slide, joint in mechanism.followers)
+    return kind(joint, slide)
 
 
 def _walking(effect: Effect, mechanism: Mechanism) -> str:

@@ -25,7 +25,8 @@ def small_effects(problem: LatentProblem) -> tuple[Candidate, ...]:
     encoders = [int(j) for j in np.flatnonzero(problem.has_encoder)]
     own = {effect.key for effect in problem.effects}
     listed = library(problem.mechanism, problem.has_imu, encoders)[0]
-    return tuple(Candidate(effect) for effect in listed if not effect.shapes and effect.key not in own)
+    return tuple(Candidate(effect, effect.usual) for effect in listed
+                 if effect.usual is not None and effect.key not in own)
 
 
 def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: Sequence[SignalSet], state: State,

@@ -20,7 +20,7 @@ class SmallFault(NamedTuple):
 
     effect: Effect
     size: FloatArray
-    """Its sizes."""
+    """Its sizes, without shapes: these are the usual ones."""
     tolerance: FloatArray
     """Of each of its sizes, 1 sigma."""
 
@@ -50,7 +50,7 @@ def sizes_of(faults: Sequence[SmallFault], candidates: Sequence[Candidate]) -> F
     """(k,) sizes of `faults` in the columns of the `candidates`; zero of all others."""
     known = {one.effect.key: one.size for one in faults}
     return np.concatenate([np.zeros(0), *(
-        known.get(one.effect.key, np.zeros(one.width)) if not one.shape else np.zeros(one.width)
+        known.get(one.effect.key, np.zeros(one.width)) if one.shape == one.effect.usual else np.zeros(one.width)
         for one in candidates)])
 
 
@@ -60,7 +60,8 @@ def without_faults(signals: Sequence[SignalSet], problem: LatentProblem, state: 
     view = replace(problem.view(state.x, state.beta[: problem.mechanism.p]), measured=problem.record)
     added: dict[Channel, FloatArray] = {}
     for one in faults:
-        for channel, values in one.effect.perturb(view, one.size).readings.items():
+        size = np.append(one.size, one.effect.usual or ())
+        for channel, values in one.effect.perturb(view, size).readings.items():
             added[channel] = added.get(channel, 0.0) + values
     edges = [0, *map(int, problem.ends)]
     return [_less(s, problem, {channel: values[a:b] for channel, values in added.items()})

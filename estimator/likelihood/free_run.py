@@ -134,6 +134,10 @@ class _Plant:
         self.closed = parts is not None and problem.closed
         """Whether position loops make the torque."""
         self.u = u - problem.torque if self.closed else u
+        self.commands = problem.commands
+        """Of position loops, at the samples and at the Gauss points."""
+        if self.commands is not None and self.closed:
+            self.commands = replace(self.commands[0], closed=True), replace(self.commands[1], closed=True)
         self.beta, sizes = problem.simulated(state.beta)
         self.pairs: list[tuple[Effect, FloatArray]] = list(zip(problem.effects, sizes))
         if parts is not None and self.closed:
@@ -153,17 +157,16 @@ class _Plant:
                 self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),
                                      np.column_stack([self.start.u, np.zeros_like(q)]))
                 self.u = np.column_stack([self.u, np.zeros_like(q)])
-        instant = [(e, size) for e, size in self.pairs if isinstance(e, LawEffect) and not _remembers(e)]
+        instant = [(e, size) for e, size in self.pairs if isinstance(e, LawEffect) and e.parts and not _remembers(e)]
         self.laws = None
         if instant or self.closed:
-            n = problem.n
-            view = problem.view(Latents(state.x.q, state.x.v, self.u[:, :n]), self.beta)
+            view = self.seen(Latents(state.x.q, state.x.v, self.u[:, : problem.n]))
             self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta), closed=self.closed)
 
     def acting(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """(N, n) torque of the motors along the motion q, v (N, n)."""
         n = self.problem.n
-        own, commands = self.u[:, :n], self.problem.commands
+        own, commands = self.u[:, :n], self.commands
         if not self.closed or commands is None:
             return own
         a = np.concatenate([np.gradient(part, self.problem.dt, axis=0)
@@ -173,7 +176,15 @@ class _Plant:
     def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
         """At the motion q, v (N, n), where effects take `samples` (n, N)."""
         n = self.problem.n
-        return self.problem.view(Latents(q[:, :n], v[:, :n], self.acting(q, v)), self.beta, samples)
+        return self.seen(Latents(q[:, :n], v[:, :n], self.acting(q, v)), samples)
+
+    def seen(self, x: Latents, samples: FloatArray | None = None) -> View:
+        """At the latents `x`, the position loops as they are in this simulation."""
+        view = self.problem.view(x, self.beta, samples)
+        if self.commands is None:
+            return view
+        return replace(view, samples=replace(view.samples, commanded=self.commands[0]),
+                       gauss=replace(view.gauss, commanded=self.commands[1]))
 
     def run(self, where: slice, q: FloatArray, v: FloatArray, start: tuple[FloatArray, FloatArray],
             taken: FloatArray) -> tuple[FloatArray, FloatArray]:

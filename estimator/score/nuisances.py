@@ -135,6 +135,8 @@ def torque_power(unit: str) -> int:
 
 
 def _thinned(effect: Effect) -> list[tuple[float, ...]]:
+    if isinstance(effect, EncoderEffect):  # the conversion of a log is exact
+        return [effect.usual or ()]
     grid = effect.grid()
     return [grid[round(k)] for k in np.linspace(0, len(grid) - 1, min(SHAPES, len(grid)))]
 
@@ -178,10 +180,10 @@ def _place(effect: Effect) -> tuple[str, str]:
         return STRUCTURE, f"{STRUCTURE} of {effect.channel}"
     if isinstance(effect, GearEffect):
         return effect.key, f"gear{joint}"
-    if isinstance(effect, LawEffect):
-        return effect.key, f"torques at joint{joint}"
     if isinstance(effect, ImuEffect):
         return effect.key, "IMU"
     if isinstance(effect, EncoderEffect):
         return effect.key, f"encoder{joint}"
+    if isinstance(effect, LawEffect):
+        return effect.key, f"torques at joint{joint}"
     return effect.key, effect.key

@@ -62,11 +62,11 @@ class SensorFaults:
     @classmethod
     def of(cls, candidates: Sequence[Candidate], problem: LatentProblem, free: NDArray[np.bool_], stated: Stated
            ) -> Self:
-        """Those without shapes that are no effects of the `problem`, with the tolerances that are `stated`."""
+        """Those of `Effect.usual` shapes that are no effects of the `problem`, with the tolerances `stated`."""
         held, which, sizes = frozenset(e.key for e in problem.effects), list[int](), list[Nuisance]()
         for i, one in enumerate(candidates):
             plain = isinstance(one.effect, SensorEffect) and not isinstance(one.effect, GenericReading)
-            if plain and not one.effect.shapes and one.effect.key not in held:
+            if plain and one.shape == one.effect.usual and one.effect.key not in held:
                 own = nuisances_of([one], problem, stated)
                 if all(size.tolerance > 0.0 for size in own):
                     which.append(i)

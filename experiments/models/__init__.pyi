@@ -31,5 +31,6 @@ from .structure import structure_values as structure_values
 from .with_effects import effect_value as effect_value
 from .with_effects import effects_of as effects_of
 from .with_effects import fitted_model_of as fitted_model_of
+from .with_effects import shapes_of as shapes_of
 from .with_effects import simulate_extended as simulate_extended
 from .with_effects import widening_of as widening_of

@@ -7,13 +7,14 @@ it. Session time, which a friction that drifts depends on, starts at the first r
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 
 from daq import FloatArray, WorkError
 from estimator import TWO_SIDED
-from estimator.effects import Effect, placed
+from estimator.effects import Effect, Shape, placed
 from estimator.likelihood import FreeRun, Latents, Noise, State, free_run
 from estimator.model import Mechanism, simulate
 from estimator.prediction import FittedModel
@@ -36,7 +37,8 @@ def effects_fault(model: Model) -> str:
         kind = known[value.name]
         if (value.joint is not None) != kind.per_joint and not kind.per_motor:  # a motor's may have one or not
             return f"`effects` gives {value.name} {'no' if kind.per_joint else 'a'} joint"
-        for what, wanted, found in (("sizes", kind.sizes, value.sizes), ("shapes", kind.shapes, value.shapes)):
+        shapes = shapes_of(kind, value)
+        for what, wanted, found in (("sizes", kind.sizes, value.sizes), ("shapes", shapes, value.shapes)):
             if {w.name for w in wanted} != set(found):
                 return f"`effects` gives {value.name} the {what} {', '.join(found) or 'none'}, it has " \
                        f"{', '.join(w.name for w in wanted) or 'none'}"
@@ -71,13 +73,21 @@ def with_default_shapes(model: Model) -> Model:
     return msgspec.structs.replace(model, effects=tuple(effects), covariance=tuple(map(tuple, covariance)))
 
 
+def shapes_of(kind: type[Effect], value: EffectValue) -> tuple[Shape, ...]:
+    """Shapes of an effect in a model, those that it has behind a position loop included."""
+    behind = {s.name for s in kind.loop_shapes} <= set(value.shapes)
+    return (*kind.shapes, *kind.loop_shapes) if behind else kind.shapes
+
+
 def effects_of(model: Model) -> list[tuple[Effect, FloatArray]]:
     """The model's effects with their sizes and shapes, in the estimator's order."""
     known, found, mechanism = known_effects(), [], build_mechanism(model.mechanism)
     for value in model.effects:
         kind = known[value.name]
-        effect = placed(kind, None if value.joint is None else value.joint - 1, mechanism)
-        size = [*(value.sizes[s.name] for s in kind.sizes), *(value.shapes[s.name] for s in kind.shapes)]
+        joint, shapes = None if value.joint is None else value.joint - 1, shapes_of(kind, value)
+        behind = replace(mechanism, followers=(joint,)) if joint is not None and shapes != kind.shapes else mechanism
+        effect = placed(kind, joint, behind)
+        size = [*(value.sizes[s.name] for s in kind.sizes), *(value.shapes[s.name] for s in shapes)]
         found.append((effect, np.array(size)))
     return found
 

@@ -19,7 +19,7 @@ from msgspec import structs
 from daq import FloatArray, InputError, WorkError
 from estimator.effects import Effect
 from experiments.console import make_directory, write_text
-from experiments.models import EffectValue, Model, build_mechanism, known_effects, widening_of
+from experiments.models import EffectValue, Model, build_mechanism, known_effects, shapes_of, widening_of
 from experiments.simulators.folder import simulator_files
 from experiments.simulators.parts import parts_of
 
@@ -105,7 +105,7 @@ def write_samples(samples: Samples, where: str, folder: Path, command: str) -> N
 def _order(effect: EffectValue, kinds: Kinds) -> tuple[Sequence[str], Sequence[str]]:
     """Names of sizes and shapes in the estimator's order."""
     kind = kinds[effect.name]
-    return [s.name for s in kind.sizes], [s.name for s in kind.shapes]
+    return [s.name for s in kind.sizes], [s.name for s in shapes_of(kind, effect)]
 
 
 def _values(model: Model, kinds: Kinds) -> FloatArray:

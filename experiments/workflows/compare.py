@@ -10,7 +10,7 @@ from daq import Dataset, Rig
 from estimator.prediction import HORIZONS_S, predict
 from experiments.console import progress
 from experiments.judge import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
-from experiments.models import Model, fitted_model_of, known_effects
+from experiments.models import Model, fitted_model_of, known_effects, shapes_of
 from experiments.session import prepare, require_sound
 from experiments.workflows.validate import require_mechanism
 
@@ -52,7 +52,8 @@ def _entries(model: Model) -> dict[str, tuple[str, str, Estimate]]:
         kind = known[effect.name]
         place = effect.name if effect.joint is None else f"{effect.name}@{effect.joint}"
         found += [(f"{place} {s.name}", s.unit, kind.sentence, effect.sizes[s.name]) for s in kind.sizes]
-        found += [(f"{place} {s.name}", s.unit, kind.sentence, effect.shapes[s.name]) for s in kind.shapes]
+        found += [(f"{place} {s.name}", s.unit, kind.sentence, effect.shapes[s.name])
+                  for s in shapes_of(kind, effect)]
     out = {}
     for k, (name, unit, meaning, value) in enumerate(found):
         variance = model.covariance[k][k]

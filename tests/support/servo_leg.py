@@ -38,6 +38,10 @@ class ServoFaults:
     velocity_filter_s: float = 0.0
     command_filter_s: float = 0.0
     """Time constants of low passes of first order"""
+    encoder_scale: float = 0.0
+    """The loop hears angle and rate times one plus this, and they are logged so."""
+    log_scale: float = 0.0
+    """The log has the angle that the loop hears times one plus this."""
 
 
 def follow(leg: Leg, rng: np.random.Generator, *, gain: float, damping: float = 0.0, limit: float = np.inf,
@@ -56,17 +60,19 @@ def follow(leg: Leg, rng: np.random.Generator, *, gain: float, damping: float = 
     command = multisine(rng, ticks, amplitude, high=high)
     servo = _Servo(gain, damping, limit, faults, round(faults.delay_s / (STEP_S * every)), every * STEP_S)
     rows, grid, coulomb, torque = np.empty((n, 3)), 2.0 * np.pi / COUNTS, np.array(leg.coulomb), 0.0
+    heard = np.array([1.0, 1.0 + faults.encoder_scale])
     for k in range(n * sub):
-        read = np.round(data.qpos / grid) * grid
+        read = heard * np.round(data.qpos / grid) * grid
         if k % sub == 0:
             rows[k // sub] = *read, command[k]
         if k % every == 0:
-            torque = servo.torque(command[k], read[1], float(data.qvel[1]))
+            torque = servo.torque(command[k], read[1], heard[1] * float(data.qvel[1]))
         data.qfrc_applied[:] = -coulomb * np.tanh(data.qvel / rounding)
         data.qfrc_applied[1] += torque
         if law is not None:
             data.qfrc_applied[:] += law(*data.qpos.tolist(), *data.qvel.tolist(), torque)
         mujoco.mj_step(model, data)
+    rows[:, 1] *= 1.0 + faults.log_scale
     columns = dict(zip(("q1_rad", "q2_rad", "q2_cmd_rad"), np.ascontiguousarray(rows.T)))
     return Dataset(name, rate_hz, np.arange(n) / rate_hz, columns)
 

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from daq import Dataset
-from estimator.effects import Around, LawEffect, Told, by_motion, classes
+from estimator.effects import Around, Effect, LawEffect, Points, Told, by_motion, classes
+from estimator.effects.encoder_eccentricity import EncoderEccentricity
+from estimator.effects.encoder_scale import EncoderScale
 from estimator.free_runs import FittedModel
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import leg2
 from estimator.options import FitOptions
 from estimator.prediction import SmoothedRun, smooth, white_noise
 from estimator.prediction.floor import floor_errors
+from estimator.signals import encoder_of
 from tests.support.mujoco_leg import Leg
 from tests.support.servo_leg import COUNTS, ServoFaults, follow, with_torque
 
@@ -56,6 +59,23 @@ def test_a_free_run_follows_the_command_as_the_leg_did(loop: str) -> None:
         assert (error < 3.0 * QUANTUM).all(), error / QUANTUM
 
 
+@pytest.mark.parametrize(("faults", "heard"), [
+    (ServoFaults(encoder_scale=0.05), 1.0), (ServoFaults(log_scale=0.05), 0.0)])
+def test_a_scale_is_wrong_for_the_loop_as_well_or_in_the_log_alone(faults: ServoFaults, heard: float) -> None:
+    """The right one of both has no residual, and free runs that follow the command as the leg did."""
+    data = with_torque(follow(LEG, np.random.default_rng(61), gain=8.0, damping=0.1, limit=0.6, seconds=6.0,
+                              amplitude=0.8, faults=faults), "gain = 8.0\ndamping = 0.1\nlimit = 0.6\n")
+    errors, misfits = {}, {}
+    for place in (1.0, 0.0):
+        model = replace(MODEL, parameters=np.append(LEG.beta(), [0.05, place]),
+                        effects=(EncoderScale(1, by_law=True),))
+        one = smooth(model, data, FitOptions(sensors="encoder"))
+        readings, misfits[place] = ran(one).readings, one.misfit()
+        errors[place] = [np.sqrt(np.mean((readings[encoder_of(j)] - one.problem.angles[:, j]) ** 2)) for j in range(2)]
+    assert max(errors[heard]) < 3.0 * QUANTUM < errors[1.0 - heard][1]
+    assert misfits[heard] < misfits[1.0 - heard] - 1000.0
+
+
 def test_a_wrong_parameter_is_what_the_command_makes_of_it_not_what_the_torque_does() -> None:
     """With a heavier lower link the knee still follows its command; under the recorded torque it does not."""
     data = recorded("stiff")
@@ -91,19 +111,23 @@ def test_commands_are_linear_between_samples_and_stay_within_their_segment() -> 
 
 def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
     one = smooth(MODEL, recorded("limited"), FitOptions(sensors="encoder"))
-    state = one.state
-    at = one.problem.view(state.x, state.beta).gauss
-    view = one.problem.view(state.x, state.beta)
-    for name, size in (("command_delay", [0.01]), ("input_limit", [0.7, 0.2]), ("supply_sag", [0.2]),
-                       ("command_dead_band", [0.02]), ("gain_scale", [0.1]), ("command_steps", [0.5, 0.03])):
-        effect = next(kind for kind in classes() if kind.name == name)(1)
+    view = one.problem.view(one.state.x, one.state.beta)
+    at, kinds = view.gauss, {kind.name: kind for kind in classes()}
+    assert at.commanded is not None
+    in_loop = replace(at, commanded=replace(at.commanded, closed=True))
+    cases: list[tuple[Effect, list[float], Points]] = [(kinds[name](1), size, at) for name, size in (
+        ("command_delay", [0.01]), ("input_limit", [0.7, 0.2]), ("supply_sag", [0.2]), ("command_dead_band", [0.02]),
+        ("gain_scale", [0.1]), ("command_steps", [0.5, 0.03]))]
+    cases += [(EncoderScale(1, by_law=True), [0.05, 0.0], at), (EncoderScale(1, by_law=True), [0.05, 1.0], in_loop),
+              (EncoderEccentricity(1, by_law=True), [0.2, 0.1, 0.0], at)]
+    for effect, size, place in cases:
         assert isinstance(effect, LawEffect)
-        found = by_motion(effect, Around(at, loops=True), np.array(size), view)
+        found = by_motion(effect, Around(place, loops=True), np.array(size), view)
         for field, h in (("q", 1e-5), ("v", 1e-5), ("a", 1e-3)):
-            moved = [np.array(getattr(at, field)) for _ in range(2)]
+            moved = [np.array(getattr(place, field)) for _ in range(2)]
             moved[0][1] += h
             moved[1][1] -= h
             sides: list[dict[str, Any]] = [{field: x} for x in moved]
-            up, down = (effect.law(replace(at, **side), np.array(size), view) for side in sides)
-            assert found[field] == pytest.approx((up - down) / (2.0 * h), abs=1e-6), (name, field)
-            assert np.abs(found[field]).max() > 0.0 or field == "a" or name == "command_steps"
+            up, down = (effect.law(replace(place, **side), np.array(size), view) for side in sides)
+            assert found[field] == pytest.approx((up - down) / (2.0 * h), abs=1e-6), (effect.key, field)
+            assert np.abs(found[field]).max() > 0.0 or field == "a" or effect.name == "command_steps"

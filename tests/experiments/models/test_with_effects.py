@@ -11,6 +11,7 @@ import pytest
 from daq.errors import InputError
 from daq.recording.plan import write_plan
 from estimator.effects import classes
+from estimator.effects.encoder_scale import EncoderScale
 from experiments import cli
 from experiments.emulation.hidden_effects import DRAG, REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
@@ -38,6 +39,13 @@ def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
     stored = json.loads((tmp_path / "m.json").read_text())["effects"][0]
     assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (
         2 if kind.per_joint or kind.per_motor else None)
+
+
+def test_an_encoder_behind_a_loop_is_saved_with_what_the_loop_hears(tmp_path: Path) -> None:
+    model = model_with(effect_value(EncoderScale(1, by_law=True), np.array([0.05, 0.0])))
+    save_model(model, tmp_path / "m.json")
+    ((again, values),) = effects_of(load_model(tmp_path / "m.json"))
+    assert values.tolist() == [0.05, 0.0] and again.told(values).endswith("and the loop hears the true angle")
 
 
 @pytest.mark.parametrize("name, value", [

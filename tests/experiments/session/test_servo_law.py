@@ -164,6 +164,21 @@ def test_a_diagnosis_under_the_command_names_a_late_command(leg: Leg) -> None:
     assert cause.size[0].value == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("faults", "scale", "where"), [
+    (ServoFaults(log_scale=0.04), 0.04, "the loop hears the true angle"),
+    (ServoFaults(encoder_scale=-0.2), -0.2, "the loop hears it")], ids=["in the log", "at the encoder"])
+def test_a_wrong_scale_is_named_with_the_place_where_it_is_wrong(leg: Leg, faults: ServoFaults, scale: float,
+                                                                 where: str) -> None:
+    runs = [follow(leg, np.random.default_rng([67, k]), gain=GAIN, damping=DAMPING, seconds=8.0,
+                   high=(2.2, 1.0, 1.6)[k % 3], faults=faults, name=f"r{k}") for k in range(6)]
+    found = legid.diagnose(runs, parse_rig(f"{RIG}gain = {GAIN}\ndamping = {DAMPING}\n"), workers=1)
+    (cause,) = found.causes
+    assert (found.verdict, cause.effect, cause.joint) == ("named", "encoder_scale", 2)
+    assert cause.size[0].value == pytest.approx(scale, rel=0.1)
+    assert where in found.text()
+
+
 def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]) -> None:
     run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
     (tmp_path / "rig.toml").write_text(RIG)
