@@ -32,6 +32,7 @@ def reference_values_of(found: Reference) -> ReferenceValues:
     return ReferenceValues(
         runs=found.runs, sensors=fit.options.sensors,  # type: ignore[arg-type]
         hold=model.hold, friction_velocity_radps=tuple(map(float, model.mechanism.velocity_scales)),
+        followers=tuple(j + 1 for j in model.mechanism.followers),
         beta=tuple(map(float, model.beta)), reach=tuple((float(a), float(b)) for a, b in model.reach),
         noise={kind: tuple(float(x) if np.isfinite(x) else None for x in levels) for kind, levels in noise.items()},
         common=structure.common, own=structure.own, freedom=structure.freedom, unit=tuple(map(float, structure.unit)),
@@ -55,6 +56,7 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
     if structs.replace(model.mechanism, **speeds) != structs.replace(settings, **speeds):
         raise InputError(where, "is a model of another mechanism than the rig file's", "give a model of this rig")
     mechanism = build_mechanism(structs.replace(model.mechanism, friction_velocity_radps=held.friction_velocity_radps))
+    mechanism = replace(mechanism, followers=tuple(j - 1 for j in held.followers))
     options = replace(options, sensors=held.sensors, hold=held.hold, smoothing_velocity="given")
     noise = {kind: np.array([np.inf if x is None else x for x in levels]) for kind, levels in held.noise.items()}
     m = len(held.columns)

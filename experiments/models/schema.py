@@ -133,6 +133,8 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     sensors: Literal["imu", "encoder"]
     hold: str
     friction_velocity_radps: tuple[Positive, ...]
+    followers: tuple[Joint, ...] = ()
+    """Joints whose torque is that of their position loop's law."""
     beta: tuple[float, ...]
     """Of the nominal model, without effects."""
     noise: dict[str, tuple[float | None, ...]]

@@ -136,6 +136,9 @@ def find_change_since(runs: Runs, model: Model, where: str, rig: Rig) -> ChangeF
     require_one_rig(setup.datasets)
     require_alike(setup.datasets)
     reference = reference_of(model, where, setup.settings, setup.options)
+    if reference.fit.model.mechanism.followers != setup.mechanism.followers:
+        raise InputError(where, "is of runs in which the law of a position loop gives the torque of other joints than "
+                         "in these", "give runs with the columns that its runs had")
     return _concluded(lambda: detect_change(setup.datasets, reference), setup, prepared)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from daq import Dataset, parse_rig
+from daq import Dataset, InputError, Rig, parse_rig
 from experiments.models import Model, load_model, save_model
 from experiments.session import prepare
 from experiments.workflows import as_reference, find_change, find_change_since, watcher_of
@@ -36,7 +36,12 @@ def before() -> list[Dataset]:
 @pytest.fixture(scope="module")
 def model(before: list[Dataset], tmp_path_factory: pytest.TempPathFactory) -> Model:
     """As it comes from its file."""
-    prepared, path = prepare(before, RIG), tmp_path_factory.mktemp("model") / "model.json"
+    return written(before, RIG, tmp_path_factory.mktemp("model") / "model.json")
+
+
+def written(runs: list[Dataset], rig: Rig, path: Path) -> Model:
+    """The model of `runs` with what later ones are compared with, from its file."""
+    prepared = prepare(runs, rig)
     bare = load_model(write_model(path, [0.1] * prepared.setup.mechanism.p, structs.asdict(prepared.setup.settings)))
     save_model(as_reference(bare, prepared), path)
     return load_model(path)
@@ -74,3 +79,17 @@ def test_a_model_of_an_earlier_version_has_no_law(model: Model, tmp_path: Path) 
     scaled = [measured(f"b{k}", 10 + k, SCALE) for k in range(2)]
     found = find_change_since(scaled, load_model(tmp_path / "old.json"), "old.json", RIG).change
     assert "by the law of the loop" not in found.sentence
+
+
+def test_a_model_of_a_servo_without_a_measured_torque_is_a_reference_too(model: Model, tmp_path: Path) -> None:
+    """Its library has a shape that only joints behind a law have; a model that forgot these joints was refused."""
+    rig = parse_rig(f'[mechanism]\nmodel = "joint1"\nactuated = [1]\n[servo]\ngain = {GAIN}\ndamping = {DAMPING}\n')
+    runs = [servo_run(f"a{k}", seed=k) for k in range(4)]
+    later = [replace(run, columns={**run.columns, "q1_rad": (1.0 + SCALE) * run["q1_rad"]})
+             for run in (servo_run(f"b{k}", seed=10 + k) for k in range(2))]
+    known = written(runs, rig, tmp_path / "servo.json")
+    by_runs, by_model = find_change(later, runs, rig).change, find_change_since(later, known, "servo.json", rig).change
+    assert by_runs.verdict == by_model.verdict == "named"
+    assert by_runs.causes[0].effect == by_model.causes[0].effect
+    with pytest.raises(InputError, match="gives the torque of other joints"):
+        find_change_since(later, model, "model.json", rig)
