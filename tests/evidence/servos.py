@@ -79,8 +79,10 @@ CAUSES = (
         0.0, -0.2 * s * abs(u) * math.tanh(v2 / 0.01)), also=("load_stribeck_friction", "quadratic_load_friction",
                                                        "directional_load_friction")),
     Hidden("supply_sag", lambda s: ServoFaults(sag=0.25 * s), also=("torque_saturation", "input_limit")),
-    Hidden("encoder_scale", logged=_scale_angle), Hidden("command_steps", lambda s: ServoFaults(
-        step=math.radians(2.0))), Hidden("directional_load_friction", law=_directional),
+    Hidden("encoder_scale", logged=_scale_angle),
+    Hidden("encoder_scale", lambda s: ServoFaults(encoder_scale=0.15 * s)),
+    Hidden("command_steps", lambda s: ServoFaults(step=math.radians(2.0))),
+    Hidden("directional_load_friction", law=_directional),
     Hidden("command_delay", lambda s: ServoFaults(delay_s=0.02 * s)))
 """In the order of a round, the slowest to diagnose last"""
 
