@@ -28,14 +28,14 @@ from estimator.score import columns_of, project, score_at
 from estimator.signals import SignalSet
 
 MOST_LEFT = 0.5
-"""Share of a disturbance's power that may be left together with an effect that explains it."""
+"""Share of a disturbance's slow part that may be left together with an effect that explains it."""
 TRIED = 4
 """Effects that are tried, by the likelihood that their scores promise."""
 
 
 def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
                          options: FitOptions, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
-    """The listed effect that leaves less than MOST_LEFT of the power of a disturbance; None: there is none.
+    """The listed effect that leaves less than MOST_LEFT of the slow part of a disturbance; None: there is none.
 
     `problem` and `state` are the fit without it, `disturbed` has it and the fit's model. Effects whose scores promise
     most are fitted in its place, and the likeliest disturbance is sought anew with each. One with which a second is
@@ -55,10 +55,18 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
         except (FitError, np.linalg.LinAlgError):
             continue
         with_effect = FittedModel(kept.mechanism, kept.hold, again.beta, (effect,), gear_ratio=options.gear_ratio)
-        if float(left.level @ left.level) < MOST_LEFT * float(found.level @ found.level) and not predicts_worse(
+        if _slow_part(left) < MOST_LEFT * _slow_part(found) and not predicts_worse(
                 signals, options, kept, with_effect):
             return effect
     return None
+
+
+def _slow_part(found: Disturbance) -> float:
+    """Spectral density at frequency zero, 2 sigma^2 T [(N m)^2 s], over all joints: the part that moves parameters.
+
+    What is left at a time constant of a few samples is nearly white, and its level is of no account.
+    """
+    return float(2.0 * np.sum(found.level**2 * found.time_constant))
 
 
 def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalSet]) -> LatentProblem:

@@ -142,14 +142,14 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> Section | None:
     path = _first(result)
     if path is None:
         return None
-    other = _match(benchmark, path)
+    other = _benchmark_torque(benchmark, path)
     pictures = []
     force = result.mechanism.force_unit
     for j in range(result.mechanism.n):
         driven = j in result.mechanism.actuated
         lines = [Line("measured", path.tau_measured[:, j], BLUE, 2.2)] if driven else []
         if other is not None and benchmark is not None:
-            lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other.tau[:, j], GREEN, 0.9))
+            lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other[:, j], GREEN, 0.9))
         unknown = open_torque(result, path, j)
         told = [*(line.values for line in lines), np.where(unknown, np.nan, path.tau[:, j])]
         if unknown.any():
@@ -195,10 +195,12 @@ def torque_range(told: Sequence[FloatArray], modelled: FloatArray, least: float)
     return low - margin, high + margin
 
 
-def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
+def _benchmark_torque(benchmark: FitResult | None, path: Trajectory) -> FloatArray | None:
+    """(N, n) at the times of `path`, which ends earlier where readings of an IMU that are late were moved."""
     for other in benchmark.trajectories if benchmark else ():
-        if other.run == path.run and np.array_equal(other.time_s, path.time_s):
-            return other
+        where = np.searchsorted(other.time_s, path.time_s)
+        if other.run == path.run and where[-1] < len(other.time_s) and np.array_equal(other.time_s[where], path.time_s):
+            return other.tau[where]
     return None
 
 
