@@ -27,8 +27,8 @@ REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 LEAST_P = 1e-9
 """A smaller probability is printed as this one."""
-HELD = ("torque_residual", "passive_joint", "sensor_residual", "repeating_torque", "omitted_effect")
-"""Kinds of findings, all of residuals, that intervals with a budget hold, where the runs enlarge no tolerance by more
+HELD = ("torque_residual", "passive_joint", "sensor_residual", "repeating_torque")
+"""Kinds of findings about residuals that intervals with a budget hold, where the runs enlarge no tolerance by more
 than ..."""
 ALLOWED = 4.0
 """... this factor."""
@@ -78,10 +78,12 @@ def _findings(result: FitResult) -> list[Finding]:
 def within_budget(result: FitResult) -> bool:
     """Whether the runs show nothing that the tolerances, or a few times these, do not hold.
 
-    Noise that takes much of the torque hides what a tolerance would have to grow for.
+    Noise that takes much of the torque hides what a tolerance would have to grow for. Where no joint is driven the
+    budget has no tolerance of a torque.
     """
     noisy = any(one.kind == "noise_share" for one in result.findings)
-    return result.budget is not None and not noisy and max(result.budget.enlarged.values(), default=1.0) <= ALLOWED
+    return (result.budget is not None and bool(result.mechanism.actuated) and not noisy
+            and max(result.budget.enlarged.values(), default=1.0) <= ALLOWED)
 
 
 def _facts(result: FitResult) -> list[Finding]:
