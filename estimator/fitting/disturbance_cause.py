@@ -44,12 +44,12 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
     """
     found, kept = disturbed
     for effect in _promising(problem, state, signals, free, options):
-        wide, count = extended(problem, signals, [effect]), len(effect.sizes)
-        begin = State(state.x, np.append(state.beta, np.zeros(count)), state.noise.levels(),
-                      np.zeros((state.beta.size + count,) * 2))
+        wide, sizes, shapes = extended(problem, signals, [effect]), np.zeros(len(effect.sizes)), effect.usual or ()
+        begin = State(state.x, np.concatenate([state.beta, sizes, shapes]), state.noise.levels(),
+                      np.zeros((state.beta.size + effect.count,) * 2))
         try:
-            again = iterate(wide, begin, np.append(free, np.ones(count, dtype=bool)), options,
-                            noise_floors(wide, wide.mechanism, state.beta))
+            sought = np.concatenate([free, np.ones(sizes.size, dtype=bool), np.zeros(len(shapes), dtype=bool)])
+            again = iterate(wide, begin, sought, options, noise_floors(wide, wide.mechanism, state.beta))
             likelihood = disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect))
             left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
         except (FitError, np.linalg.LinAlgError):
@@ -76,7 +76,7 @@ def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalS
 
 def _promising(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
                options: FitOptions) -> list[Effect]:
-    """Effects without a shape whose scores promise most likelihood, the first TRIED."""
+    """Effects of usual shapes whose scores promise most likelihood, the first TRIED."""
     candidates = small_effects(problem)
     if not candidates:
         return []

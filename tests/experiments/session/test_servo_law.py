@@ -119,6 +119,15 @@ def test_a_limit_that_few_runs_meet_is_found_and_is_as_open_as_the_damping() -> 
     assert found["limit"]["found"] and low < limit < high
 
 
+@pytest.mark.slow
+def test_a_wrong_encoder_is_tried_in_place_of_a_disturbance() -> None:
+    """Behind a loop it has a shape; the integral that nobody states is what the disturbance was."""
+    drawn, integral = draw(19418), 3.275
+    runs = record(drawn, 19418, Hidden("none", lambda s: ServoFaults(integral=integral)), drawn.delay_s)
+    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
+    assert found["integral"]["found"] and found["integral"]["value"] == pytest.approx(integral, rel=0.02)
+
+
 def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -> None:
     rng = np.random.default_rng(57)
     runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, name=f"plain{k}") for k in range(3)]
