@@ -105,8 +105,8 @@ def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, state
 def torque_reach(problem: LatentProblem) -> FloatArray:
     """(n,) quantile REACHED of the measured torque's size; of a joint without a motor, the largest of all joints'.
 
-    Zero where no joint has one: nothing then tells how large a torque may be that is left out, and only the tolerances
-    of readings count.
+    Zero where no joint has a motor: nothing then tells how large an omitted torque may be, and only readings have
+    tolerances.
     """
     driven = list(problem.mechanism.actuated)
     reach = np.zeros(problem.n)
