@@ -75,8 +75,10 @@ class Loop:
 
     def at(self, index: Any) -> Self:
         """The loop at some of its instants, where it has arrays."""
-        return replace(self, **{f.name: v[index] for f in fields(self)
-                                if isinstance(v := getattr(self, f.name), np.ndarray)})
+        found = replace(self, **{f.name: v[index] for f in fields(self)
+                                 if isinstance(v := getattr(self, f.name), np.ndarray)})
+        vars(found)["_uses"] = self._uses  # what does nothing at all instants does nothing at some
+        return found
 
     @classmethod
     def along(cls, loops: list[list[Self | None]], lengths: list[int]) -> Self:

@@ -24,6 +24,7 @@ from estimator.effects.derivatives import FEATURES, Around, Laws, by_motion
 from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
+from estimator.effects.loop_effect import ClosedLoop
 from estimator.effects.loop_integral import RecordedMotion, SimulatedIntegral, summed
 from estimator.effects.loop_values import DampingValue, LimitValue, VelocityFilter
 from estimator.effects.missing_integral import MissingIntegral
@@ -43,6 +44,7 @@ __all__ = [
     "Axis",
     "Backlash",
     "BodyEffect",
+    "ClosedLoop",
     "CommandDelay",
     "Commanded",
     "DampingValue",

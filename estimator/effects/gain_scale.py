@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, made
+from estimator.effects.loop_effect import LoopEffect
 
 
 class GainScale(LoopEffect):
@@ -28,5 +26,5 @@ class GainScale(LoopEffect):
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:
         loop, more = told.loop, 1.0 + float(size[0])
-        own = replace(loop, gain=more * loop.gain, damping=more * loop.damping, integral=more * loop.integral)
-        return made(replace(told, loop=own), *told.error(*motion), motion[1])
+        error, rate_error = told.error(*motion)
+        return loop.acting(loop.wanted(more * error, more * rate_error, more * told.summed), motion[1], told.supply)

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Axis, Points, TorqueEffect, View
+from estimator.effects.base import Axis, Perturbation, Points, TorqueEffect, View
 from estimator.effects.commanded import Commanded
 
 MOTION_STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3}
@@ -51,6 +51,40 @@ class LoopEffect(TorqueEffect):
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:
         """(m, ...) torque of the loop [N m] at m motions q, v, a (m, ...) of its joint; `told` has (1, ...)."""
+
+
+class ClosedLoop(LoopEffect):
+    """The record's input of a joint less what its loop's law makes of the true motion.
+
+    A record without a measured torque has the law's input by the angle that was read, whose error is that of the
+    encoder times the gain: no noise of its own, which a fit could tell from the encoder's.
+    """
+
+    name = "closed_loop"
+    sizes = ()
+    reference: ClassVar[str] = "`daq.Loop`"
+    experiment: ClassVar[str] = ""
+
+    def __init__(self, joint: int, at_gauss: FloatArray, at_samples: FloatArray) -> None:
+        super().__init__(joint)
+        self.joint: int = joint
+        self.recorded = at_gauss, at_samples
+        """(2, K) and (N,) input by the record [N m]"""
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        found = super().perturb(view, size)
+        for torque, recorded in zip((found.torque, found.torque_at_samples), self.recorded):
+            assert torque is not None
+            torque[self.joint or 0] += recorded
+        return found
+
+    def _lacking(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
+                 ) -> FloatArray:
+        return -told.input(*motion)
+
+    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
+               ) -> FloatArray:
+        return told.input(*motion)
 
 
 def moved_sides(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

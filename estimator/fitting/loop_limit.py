@@ -62,7 +62,8 @@ def limit_met(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
             return 2.0  # worse than any
         torque = tried.torque(values) - known
         left = torque - basis @ (basis.T @ torque)
-        return float(np.linalg.norm(left)) / max(float(np.linalg.norm(torque - torque.mean())), 1e-300)
+        plain = tried.torque({**values, "damping": 0.0}) if values["damping"] else torque + known
+        return float(np.linalg.norm(left)) / max(float(np.linalg.norm(plain - plain.mean())), 1e-300)
 
     def best(own: Sequence[str]) -> tuple[float, FloatArray]:
         begin = min((np.array(one) for one in product(*(GRIDS[key] for key in own))), key=lambda one: error(one, own))

@@ -86,8 +86,9 @@ def empty(records: Records, p: int) -> Searched:
 
 def suits(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> bool:
     """Whether this search can do a fit: one short record on the encoder path, nothing known but all noise."""
-    return (len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES and not options.fixed
-            and not options.prior and not options.torque_correlation and knows_noise(mechanism, options))
+    return (len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES and not mechanism.followers
+            and not options.fixed and not options.prior and not options.torque_correlation
+            and knows_noise(mechanism, options))
 
 
 def knows_noise(mechanism: Mechanism, options: FitOptions) -> bool:

@@ -37,7 +37,7 @@ def with_unseen_torque(problem: LatentProblem, state: State, free: NDArray[np.bo
     mechanism = problem.mechanism
     joints = [j for j in mechanism.actuated if options.torque_noise(j, True) is None]
     floors = noise_floors(problem, mechanism, state.beta)
-    if not state.converged or not joints or not _moves(problem, state.noise, joints):
+    if problem.by_law or not state.converged or not joints or not _moves(problem, state.noise, joints):
         return state
     unseen = np.zeros(problem.n)
     unseen[joints] = state.noise.torque[joints]

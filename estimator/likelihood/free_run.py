@@ -131,7 +131,7 @@ class _Plant:
     def __init__(self, problem: LatentProblem, state: State, u: FloatArray, or_still: bool = False,
                  parts: Sequence[slice] | None = None) -> None:
         self.problem, self.start = problem, state.x
-        self.closed = parts is not None and problem.closed
+        self.closed = problem.closed and (parts is not None or problem.by_law)
         """Whether position loops make the torque."""
         self.u = u - problem.torque if self.closed else u
         self.commands = problem.commands

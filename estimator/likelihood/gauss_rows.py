@@ -76,7 +76,7 @@ def unseen_level(problem: LatentProblem, x: Latents, parameters: FloatArray, noi
     sigma^2 = sum r^2 / (rows - tr(J P J^T) / sigma^2), rows at rest counted less; sigma holds the equation's slack.
     """
     beta = parameters[: problem.mechanism.p]
-    rows = GaussRows(problem, x, beta, problem.extra(x, parameters, columns=False) if problem.effects else None)
+    rows = GaussRows(problem, x, beta, problem.extra(x, parameters, columns=False) if problem.acts else None)
     own = np.broadcast_to(problem.motion_level(noise) ** 2, (problem.n, problem.left.size))
     share, found = own * problem.motion_weight(noise) ** 2, np.zeros(problem.n)
     slack = slack_of(problem.mechanism) * noise.torque

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.effects import Backlash, Effect, GearEffect, Points, StribeckFriction, View
 from estimator.likelihood import assembly_numba, correlated_torque
+from estimator.likelihood.closed_loops import closed_loops, driven
 from estimator.likelihood.disturbance import Process, expected_score
 from estimator.likelihood.effect_columns import acting, added, extra_of, slopes_at_zero
 from estimator.likelihood.measured_runs import MeasuredRuns
@@ -127,7 +128,7 @@ class LatentProblem(MeasuredRuns):
     def _free(self, x: Latents, beta: FloatArray) -> tuple[View, FloatArray]:
         """View of a measured motion without the torques of effects, and the inverse of the inertia matrix (n, n, N)."""
         view, inverse = self._seen(x, beta)
-        return replace(view, measured=self.record), inverse
+        return replace(driven(view, closed_loops(self)), measured=self.record), inverse
 
     def places(self) -> list[slice]:
         """Slices of the parameter vector with the sizes and shapes of each effect."""
@@ -146,9 +147,14 @@ class LatentProblem(MeasuredRuns):
                                        for e, size in zip(self.effects, sizes))])
 
     def _pairs(self, parameters: FloatArray) -> tuple[FloatArray, list[tuple[Effect, FloatArray]]]:
-        """beta (p,), and the effects with their sizes."""
+        """beta (p,), and the effects with their sizes, those of closed loops included."""
         beta, sizes = self.split(parameters)
-        return beta, list(zip(self.effects, sizes))
+        return beta, [*zip(self.effects, sizes), *((loop, np.zeros(0)) for loop in closed_loops(self))]
+
+    @property
+    def acts(self) -> bool:
+        """Whether effects or closed loops act."""
+        return bool(self.effects) or self.by_law
 
     def extra(self, x: Latents, parameters: FloatArray, columns: bool = True) -> Extra:
         """Torques and readings that the effects add at (x, parameters), and their derivatives; with `columns` also
@@ -199,7 +205,7 @@ class LatentProblem(MeasuredRuns):
         `beta` is the whole parameter vector; columns of candidates follow it. `predicted_misfit` (n,) is for
         `_inertia_gradient`: of each joint's torque after the last step of a search.
         """
-        extra = self.extra(x, beta) if self.effects or self.candidates else None
+        extra = self.extra(x, beta) if self.acts or self.candidates else None
         point = self._assembled(x, beta[: self.mechanism.p], noise, extra, predicted_misfit)
         if not self.effects:
             return point
@@ -210,7 +216,7 @@ class LatentProblem(MeasuredRuns):
 
     def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
         """`linearise` for a search of the motion alone: without border, corner and gradient."""
-        if not self.effects:
+        if not self.acts:
             return self._assembled(x, parameters[: self.mechanism.p], noise, None, motion_alone=True)
         extra = self.extra(x, parameters, columns=False)
         point = self._assembled(x, parameters[: self.mechanism.p], noise, extra, motion_alone=True)

@@ -134,7 +134,15 @@ class MeasuredRuns:
     @cached_property
     def commands(self) -> tuple[Commanded, Commanded] | None:
         """Commands of position loops at the samples and at the Gauss points; None where not all runs have any."""
-        return commands_at(self.signals, self.left, self.dt)
+        found = commands_at(self.signals, self.left, self.dt)
+        if found is None or not set(np.flatnonzero(found[0].follows)) <= set(self.mechanism.followers):
+            return found
+        return replace(found[0], closed=True), replace(found[1], closed=True)
+
+    @property
+    def by_law(self) -> bool:
+        """Whether all loops act on the latent motion: their joints' torque is the law's, and nobody measured it."""
+        return self.commands is not None and self.commands[0].closed
 
     @property
     def closed(self) -> bool:

@@ -114,12 +114,12 @@ def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
     view = one.problem.view(one.state.x, one.state.beta)
     at, kinds = view.gauss, {kind.name: kind for kind in classes()}
     assert at.commanded is not None
-    in_loop = replace(at, commanded=replace(at.commanded, closed=True))
+    by_record = replace(at, commanded=replace(at.commanded, closed=False))
     cases: list[tuple[Effect, list[float], Points]] = [(kinds[name](1), size, at) for name, size in (
         ("command_delay", [0.01]), ("input_limit", [0.7, 0.2]), ("supply_sag", [0.2]), ("command_dead_band", [0.02]),
         ("gain_scale", [0.1]), ("command_steps", [0.5, 0.03]))]
-    cases += [(EncoderScale(1, by_law=True), [0.05, 0.0], at), (EncoderScale(1, by_law=True), [0.05, 1.0], in_loop),
-              (EncoderEccentricity(1, by_law=True), [0.2, 0.1, 0.0], at)]
+    cases += [(EncoderScale(1, by_law=True), [0.05, 0.0], by_record), (EncoderScale(1, by_law=True), [0.05, 1.0], at),
+              (EncoderEccentricity(1, by_law=True), [0.2, 0.1, 0.0], by_record)]
     for effect, size, place in cases:
         assert isinstance(effect, LawEffect)
         found = by_motion(effect, Around(place, loops=True), np.array(size), view)

@@ -119,6 +119,25 @@ def test_a_limit_that_few_runs_meet_is_found_and_is_as_open_as_the_damping() -> 
     assert found["limit"]["found"] and low < limit < high
 
 
+def test_a_limit_is_found_where_the_loop_damps_much() -> None:
+    """The friction of the joint takes the loop's damping up: a share of the torque with it would always fall."""
+    drawn, limit = draw(9606), 0.6222
+    runs = record(drawn, 9606, Hidden("none", lambda s: ServoFaults(limit=limit)), drawn.delay_s)
+    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
+    for key, true, close in (("limit", limit, 0.01), ("damping", drawn.damping, 0.02), ("delay_s", drawn.late_s, 0.01)):
+        assert found[key]["found"] and found[key]["value"] == pytest.approx(true, rel=close)
+
+
+def test_what_an_encoder_misreads_is_no_noise_of_the_torque_that_the_law_makes() -> None:
+    """Of 12 bits, the gain makes 4 mN m, and the loop's damping 8: a delay was 2 ms too short."""
+    drawn = draw(9400)
+    rig = parse_rig(f"{RIG}gain = {drawn.gain}\ndamping = {drawn.damping}\nrate_hz = {drawn.loop_hz}\n")
+    told = legid.fit(record(drawn, 9400, delay_s=drawn.delay_s), rig).document
+    assert told["noise"]["torque_nm"] < 0.5 * drawn.gain * told["noise"]["encoder_rad"]
+    low, high = loop_of(told)["delay_s"]["ci95"]
+    assert low < drawn.late_s < high < low + 2e-4
+
+
 @pytest.mark.slow
 def test_a_wrong_encoder_is_tried_in_place_of_a_disturbance() -> None:
     """Behind a loop it has a shape; the integral that nobody states is what the disturbance was."""
