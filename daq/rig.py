@@ -311,7 +311,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if isinstance(levels, tuple) and len(levels) != n:
         raise InputError(where, f"noise.encoder_rad has {len(levels)} levels, {rig.mechanism.model} has {n} joints",
                          "give one number for all encoders, or one for each joint")
-    wrong = None if rig.servo is None else faults(rig.servo, len(rig.mechanism.actuated))
+    voltage = rig.mechanism.input == "voltage"
+    wrong = None if rig.servo is None else faults(rig.servo, len(rig.mechanism.actuated), voltage)
     if wrong is not None:
         raise InputError(where, *wrong)
     if not rig.imus:

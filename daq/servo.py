@@ -91,8 +91,8 @@ class Servo(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return found
 
 
-def faults(servo: Servo, driven: int) -> tuple[str, str] | None:
-    """Faults of a table for so many driven joints, and the remedy; None without a fault."""
+def faults(servo: Servo, driven: int, voltage: bool) -> tuple[str, str] | None:
+    """Faults of a table for so many driven joints, and the remedy; None without a fault. `voltage` as in `loop`."""
     for name in servo.__struct_fields__:
         values = getattr(servo, name)
         if isinstance(values, tuple) and len(values) != driven:
@@ -101,6 +101,9 @@ def faults(servo: Servo, driven: int) -> tuple[str, str] | None:
     needs_gain = [name for name in ("damping", "integral", "limit", "resistance_ohm") if getattr(servo, name)]
     if servo.gain is None and needs_gain:
         return f"servo.{needs_gain[0]} says nothing without servo.gain", "give servo.gain, or take it out"
+    if servo.resistance_ohm is not None and voltage:
+        return ("servo.resistance_ohm makes a torque of the duty, and mechanism.input is a voltage",
+                'take out resistance_ohm and torque_constant_nm_per_a, or input = "voltage"')
     if (servo.resistance_ohm is None) != (servo.torque_constant_nm_per_a is None):
         return ("servo has one of resistance_ohm and torque_constant_nm_per_a",
                 "give both of the motor, or neither for a drive that makes torque")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray, Loop
+from estimator.signals import monotone
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class Told:
     dt_s: float
 
     def at(self, place: FloatArray, late_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Commanded angle and rate (n, ...) at the places (...) in samples, each joint `late_s` (n, ...) before, linear
-        between samples; the first of a segment before it."""
+        """Commanded angle and rate (n, ...) at the places (...) in samples, each joint `late_s` (n, ...) before, as
+        `monotone` has them between samples; the first of a segment before it."""
         whole = np.minimum(np.floor(place + 1e-9).astype(np.intp), len(self.first) - 1)
         begin = self.first[whole].astype(np.float64)
         at = np.clip(place - np.nan_to_num(late_s) / self.dt_s, begin, whole + 1.0)
@@ -35,8 +36,26 @@ class Told:
         joints = np.arange(len(self.angle)).reshape(-1, *(1,) * (place.ndim))
         after = np.minimum(k + 1, len(self.first) - 1)
         after = np.where(self.first[after] == self.first[k], after, k)  # not into the next segment
-        angle, rate = ((1.0 - share) * x[joints, k] + share * x[joints, after] for x in (self.angle, self.rate))
+        left = 1.0 - share
+        from_, to = left**2 * (1.0 + 2.0 * share), share**2 * (1.0 + 2.0 * left)
+        rise, fall = left**2 * share, share**2 * left
+        angle, rate = (from_ * x[joints, k] + to * x[joints, after] + rise * d[joints, k] - fall * d[joints, after]
+                       for x, d in zip((self.angle, self.rate), self._slopes))
         return angle, rate
+
+    @cached_property
+    def _slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of angle and rate (n, N) by the sample."""
+        ends = np.flatnonzero(np.diff(self.first)) + 1
+        found = [np.concatenate([_slopes_of(part) for part in np.split(x, ends, axis=1)], axis=1)
+                 for x in (self.angle, self.rate)]
+        return found[0], found[1]
+
+
+def _slopes_of(x: FloatArray) -> FloatArray:
+    """Derivatives (n, N) of one segment's commands by the sample."""
+    at = np.arange(x.shape[1], dtype=np.float64)
+    return np.zeros_like(x) if len(at) < 2 else np.array([monotone(row).derivative()(at) for row in x])
 
 
 @dataclass(frozen=True)

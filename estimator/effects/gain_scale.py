@@ -7,6 +7,9 @@ from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
 from estimator.effects.loop_effect import LoopEffect
 
+LEAST = 0.1
+"""Share of the gains."""
+
 
 class GainScale(LoopEffect):
     """All gains of the loop are (1 + s) times those stated, its limits are not.
@@ -22,6 +25,11 @@ class GainScale(LoopEffect):
     experiment = "give one parameter with --fix, or hold a known weight still and read the error of the command"
     by_hand = "hang a known weight on the joint and read the error of the command at rest"
     plans = ("rest",)
+
+    def possible(self, size: FloatArray) -> bool:
+        """Whether a tenth of the gains is left: with none, all parameters and the noise would be zero, too, which the
+        likelihood takes for the best of fits."""
+        return bool(size[0] > LEAST - 1.0)
 
     def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
                ) -> FloatArray:

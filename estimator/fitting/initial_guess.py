@@ -126,7 +126,7 @@ def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray)
                 1e-6)
     shown = problem.shown
     torque = np.full(mechanism.n, 2e-3 * scale)
-    if problem.collocation.hold not in STEPPED and not problem.by_law:
+    if problem.collocation.hold not in STEPPED:
         torque = np.maximum(torque, ACTIVE * shown.torque)
     return Noise(torque, np.maximum(0.7 * shown.encoder, 1e-8),
                  np.maximum(0.7 * shown.gyro, 1e-6), np.maximum(0.7 * shown.accel, 1e-5))

@@ -11,7 +11,7 @@ from estimator.signals.channels import (
     imu_channels,
     torque_of,
 )
-from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, earlier, input_by_law
+from estimator.signals.commands import SUPPLY, Commands, command_columns, commands_of, earlier, input_by_law, monotone
 from estimator.signals.filters import (
     SLOW_SHARE,
     added_by_delay,
@@ -57,7 +57,7 @@ __all__ = [
     "accelerometer", "accelerometer_at", "accelerometer_slopes", "added_by_delay", "angle_column", "by_run", "causal",
     "command_columns", "commands_of", "cut", "cut_steps", "differentiate", "earlier", "encoder_level",
     "encoder_of", "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "input_by_law",
-    "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "shifted", "sight",
+    "is_plain", "lowpass", "monotone", "paper_differences", "predicted_columns", "quantum", "shifted", "sight",
     "slow_part", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
     "with_earlier_imu",
 ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from daq import Dataset, FloatArray, Loop
 from estimator.signals.filters import lowpass
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 SUPPLY = ("supply_v", "volts")
 """Columns of a motor's supply [V], the first that is there."""
@@ -65,11 +68,22 @@ def _told(columns: Mapping[str, FloatArray], loop: Loop, joint: int, where: slic
 
 
 def earlier(x: FloatArray, late_s: float, rate_hz: float) -> FloatArray:
-    """x(t - late_s) of a segment (N,), linear between samples, its first value before it."""
-    if not late_s:
+    """x(t - late_s) of a segment (N,), `monotone` between samples, its first value before it and its last one after it.
+    """
+    if not late_s or len(x) < 2:
         return x
     at = np.arange(len(x), dtype=np.float64)
-    return np.interp(at - late_s * rate_hz, at, x)
+    return np.asarray(monotone(x)(np.clip(at - late_s * rate_hz, 0.0, at[-1])))
+
+
+def monotone(x: FloatArray) -> PchipInterpolator:
+    """x (N,) as a function of its index, by cubics that exceed no sample (Fritsch and Butland 1984).
+
+    Straight lines make what curves too small, and splines overshoot where a command steps.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    return PchipInterpolator(np.arange(len(x), dtype=np.float64), x)
 
 
 def lagged(x: FloatArray, time_constant_s: float, rate_hz: float) -> FloatArray:

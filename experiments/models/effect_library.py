@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from typing import Any, get_args
 
 from daq import InputError
-from estimator.effects import ENTRY_POINT, UNTESTABLE, Effect, PlanKind, classes
+from estimator.effects import ENTRY_POINT, UNTESTABLE, Effect, PlanKind, Shape, classes
 
 SCHEMA = "legid.effects/1"
 
@@ -41,10 +42,14 @@ def effects_document() -> dict[str, Any]:
         "effects": [{
             "effect": name, "by_joint": kind.per_joint, "by_motor": kind.per_motor, "meaning": kind.sentence,
             "sizes": [{"name": s.name, "unit": s.unit} for s in kind.sizes],
-            "shapes": [{"name": s.name, "unit": s.unit, "tried": list(s.grid)} for s in kind.shapes],
+            "shapes": _shapes(kind.shapes), "behind_a_loop": _shapes(kind.loop_shapes),
             "reference": kind.reference, "experiment": kind.experiment} for name, kind in known_effects().items()],
         "not_testable": [{"effect": name, "why": why} for name, why in UNTESTABLE.items()],
     }
+
+
+def _shapes(shapes: Sequence[Shape]) -> list[dict[str, Any]]:
+    return [{"name": s.name, "unit": s.unit, "tried": list(s.grid)} for s in shapes]
 
 
 def effects_text() -> str:
@@ -53,7 +58,8 @@ def effects_text() -> str:
     for name, kind in known_effects().items():
         parts = [(s.name, s.unit) for s in kind.sizes] + [(s.name, s.unit) for s in kind.shapes]
         sizes = ", ".join(f"{part} [{unit}]" for part, unit in parts)
-        rows = [("meaning", kind.sentence), ("sizes", sizes), ("after", kind.reference),
+        behind = ", ".join(f"{s.name}, {' or '.join(f'{x:g}' for x in s.grid)}" for s in kind.loop_shapes)
+        rows = [("meaning", kind.sentence), ("sizes", sizes), ("behind a loop", behind), ("after", kind.reference),
                 ("best shown by", kind.experiment)]
         where = "by joint" if kind.per_joint else "by motor" if kind.per_motor else "whole rig"
         blocks.append("\n".join([f"{name} ({where})", *(_row(label, text) for label, text in rows if text)]))

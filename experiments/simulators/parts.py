@@ -105,6 +105,8 @@ def parts_of(model: Model, where: str) -> Parts:
         if effect.name in OF_LOOP:
             parts.notes.append(f"{effect.name} is of the position loop: the export takes the torque that acts")
             continue
+        if effect.shapes.get("heard_by_loop") == 0.0:
+            parts.notes.append(f"{effect.name} is of the log alone: a loop takes the joint's angle, not the encoder's")
         hold = HELD.get(effect.name)
         if hold is None and effect.name not in LEFT:
             raise InputError(where, f"has the effect {effect.name}, whose law is in a package of yours: no export "

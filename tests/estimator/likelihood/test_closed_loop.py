@@ -100,13 +100,19 @@ def test_noise_leaves_in_replicates_what_it_leaves_in_records() -> None:
     assert (error < 2.0 * left).all() and (error > 0.5 * left).all(), (error, left)
 
 
-def test_commands_are_linear_between_samples_and_stay_within_their_segment() -> None:
-    angle = np.array([[0.0, 1.0, 3.0, 10.0, 12.0]])
-    told = Told(angle, 2.0 * angle, np.array([0, 0, 0, 3, 3]), 0.1)
-    place = np.array([0.0, 1.5, 2.0, 3.0, 3.5, 4.0])
-    assert told.at(place, np.zeros((1, 1)))[0][0] == pytest.approx([0.0, 2.0, 3.0, 10.0, 11.0, 12.0])
-    late, rate = told.at(place, np.full((1, 1), 0.1))
-    assert late[0] == pytest.approx([0.0, 0.5, 1.0, 10.0, 10.0, 10.0]) and rate == pytest.approx(2.0 * late)
+def test_commands_are_smooth_and_monotone_between_samples_and_stay_within_their_segment() -> None:
+    time = np.arange(40) / 10.0
+    angle = np.array([[*np.sin(time), *(time > 2.0)]])
+    told = Told(angle, 2.0 * angle, np.repeat([0, 40], 40), 0.1)
+    place = np.arange(1.0, 38.0) + 0.5
+    error = np.abs(told.at(place, np.zeros((1, 1)))[0][0] - np.sin(0.1 * place))
+    assert error.max() < 1e-3 and error.mean() < 2e-4  # of straight lines 1.2e-3 and 8e-4
+    late, rate = told.at(place, np.full((1, 1), 0.05))
+    assert late[0] == pytest.approx(np.sin(0.1 * place - 0.05)) and rate == pytest.approx(2.0 * late)
+    stepped = told.at(40.0 + place, np.full((1, 1), 0.02))[0][0]
+    assert stepped.min() == 0.0 and stepped.max() == 1.0 and (np.diff(stepped) >= 0.0).all()
+    begin = np.array([40.0, 41.0])
+    assert told.at(begin, np.full((1, 1), 0.3))[0][0] == pytest.approx([0.0, 0.0])
 
 
 def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
