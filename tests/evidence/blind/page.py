@@ -276,8 +276,8 @@ def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Itera
 
 def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
     yield from ["", "## Sizes and time", "",
-                f"Time of one diagnosis: median, 95th percentile, worst. {at_once} ran at once. One alone runs on all "
-                "cores, several on one each. The target of wall time is for two idle cores.", "",
+                f"Time of one diagnosis: median, 95th percentile, worst; {at_once} ran at once. The target of wall "
+                "time is for two idle cores.", "",
                 *_head(["family", "sizes in their 95 % intervals", "wall time [s]", "processor time [s]"])]
     for family in (*FAMILIES, "all"):
         own = [a for a in answers if family in (a.case.family, "all")]
