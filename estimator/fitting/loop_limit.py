@@ -40,8 +40,9 @@ def limit_met(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
 
     None where none is worth a fit.
 
-    The torque is u = clip(w, +-l), w that of the law: the least of min over beta of |Z beta - u| / |u - mean u| in the
-    joint's own equation, by the best point of a grid and the simplex of Nelder and Mead from there.
+    The torque is u = clip(w, +-l), w that of the law: the least of min over beta of |Z beta - u| / |u0 - mean u0| in
+    the joint's own equation, by the best point of a grid and the simplex of Nelder and Mead from there. u0 is u without
+    damping: u grows with it, and friction takes all of it up.
     """
     signals, (free, beta) = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
     options = replace(options, half_power=None)

@@ -178,11 +178,12 @@ class LatentProblem(MeasuredRuns):
 
     def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
         """(N, n) torque of the motors along a fitted motion: the latent torque, and what gears lose before it."""
-        out = x.u.copy()
-        if not self.effects:
-            return out
+        opened = self.by_law and not self.closed  # of joints with and without loops, a free run has all of them open
+        if not (self.effects or opened):
+            return x.u.copy()
         beta, pairs = self._pairs(parameters)
         view = self._free(x, beta)[0]
+        out = view.samples.u.T.copy() if opened else x.u.copy()
         for effect, size in pairs:
             if isinstance(effect, GearEffect):
                 for j, drive_loss in effect.drive_loss(view, size).items():

@@ -76,6 +76,20 @@ def test_a_scale_is_wrong_for_the_loop_as_well_or_in_the_log_alone(faults: Servo
     assert misfits[heard] < misfits[1.0 - heard] - 1000.0
 
 
+def test_of_joints_with_and_without_loops_a_free_run_has_all_open() -> None:
+    """The torque that acted is then that of the true motion, without what the encoder misread times the gain."""
+    data = recorded("stiff")
+    data = replace(data, columns={**data.columns, "tau1_nm": np.zeros(len(data))})
+    model = replace(MODEL, mechanism=replace(MODEL.mechanism, actuated=(0, 1)))
+    one = smooth(model, data, FitOptions(sensors="encoder"))
+    assert one.problem.by_law and not one.problem.closed
+    acted = one.problem.motor_torque(one.state.x, one.state.beta)[:, 1]
+    inverse = MODEL.mechanism.inverse_dynamics(one.state.x.q, one.state.x.v, np.gradient(one.state.x.v, 0.01, axis=0),
+                                               LEG.beta())[:, 1]
+    read = np.std((one.problem.torque[:, 1] - inverse)[5:-5])
+    assert np.std((acted - inverse)[5:-5]) < 0.7 * read
+
+
 def test_a_wrong_parameter_is_what_the_command_makes_of_it_not_what_the_torque_does() -> None:
     """With a heavier lower link the knee still follows its command; under the recorded torque it does not."""
     data = recorded("stiff")
