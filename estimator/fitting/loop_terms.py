@@ -89,7 +89,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     except (FitError, np.linalg.LinAlgError):
         return Loops(state, value=value_of(fitted.problem, state))
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
-    if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes, std)):
+    if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
         return Loops(state, value=value_of(fitted.problem, state))
     p = state.beta.size
     short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
@@ -100,13 +100,13 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
                  value_of(wide, again))
 
 
-def _believed(one: tuple[str, int, float], size: float, std: float) -> bool:
-    """Whether a value is near where it was sought, and a delay is known at all. With a limit near zero all parameters
-    and the noise would be zero, too, which the likelihood takes for the best of fits."""
+def _believed(one: tuple[str, int, float], size: float) -> bool:
+    """Whether a value is near where it was sought. With a limit near zero all parameters and the noise would be zero,
+    too, which the likelihood takes for the best of fits."""
     key, _, start = one
     if key == "limit":
         return start / FACTOR < size < start * FACTOR
-    return key != "delay_s" or max(abs(size), std) <= LATEST_S
+    return key != "delay_s" or abs(size) <= LATEST_S
 
 
 def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]:
