@@ -56,3 +56,9 @@ def test_a_delay_and_a_gain_with_tolerances_are_in_the_budget() -> None:
 def test_a_table_that_says_too_little_is_refused(servo: str, what: str) -> None:
     with pytest.raises(InputError, match=what):
         parse_rig(RIG + servo)
+
+
+def test_a_resistance_of_a_joint_that_volts_drive_is_refused() -> None:
+    with pytest.raises(InputError, match="makes a torque of the duty, and mechanism"):
+        parse_rig('[mechanism]\nmodel = "joint1"\nactuated = [1]\ninput = "voltage"\n[servo]\ngain = 1.0\n'
+                  "resistance_ohm = 4.0\ntorque_constant_nm_per_a = 0.4\nsupply_v = 8.0\n")

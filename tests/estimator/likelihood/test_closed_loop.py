@@ -129,6 +129,12 @@ def test_commands_are_smooth_and_monotone_between_samples_and_stay_within_their_
     assert told.at(begin, np.full((1, 1), 0.3))[0][0] == pytest.approx([0.0, 0.0])
 
 
+def test_a_loop_without_gain_is_no_explanation() -> None:
+    """All parameters and the noise would be zero, too: the likelihood grows without end."""
+    scale = {kind.name: kind for kind in classes()}["gain_scale"](1)
+    assert scale.possible(np.array([-0.5])) and not scale.possible(np.array([-0.999]))
+
+
 def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
     one = smooth(MODEL, recorded("limited"), FitOptions(sensors="encoder"))
     view = one.problem.view(one.state.x, one.state.beta)

@@ -48,6 +48,8 @@ def test_every_effect_of_the_contract_is_listed(tmp_path: Path, capsys: pytest.C
     for row in found["effects"]:
         assert row["effect"] in text and row["meaning"] and row["reference"] and row["experiment"]
         assert all(part["unit"] for part in row["sizes"] + row["shapes"]) and row["sizes"]
+    behind = {row["effect"] for row in found["effects"] if row["behind_a_loop"]}
+    assert behind == {"encoder_offset", "encoder_scale", "encoder_eccentricity"} and "heard_by_loop, 1 or 0" in text
     assert {row["effect"] for row in found["not_testable"]} == {"torque_gain", "payload"}
     assert all(row["why"] in re.sub(r"\s+", " ", text) for row in found["not_testable"])
     assert max(map(len, text.splitlines())) <= 110

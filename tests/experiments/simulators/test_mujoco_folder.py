@@ -17,7 +17,7 @@ from experiments.models import load_model, save_model
 from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
 from experiments.simulators import ExportedLeg, simulator_files
 from experiments.simulators.mujoco_runs import require_mujoco
-from experiments.simulators.parts import HELD, LEFT, OF_LOOP
+from experiments.simulators.parts import HELD, LEFT, OF_LOOP, parts_of
 from tests.support.exported_models import (
     EFFECTS,
     OPPOSITE,
@@ -39,6 +39,14 @@ def test_every_effect_of_the_library_is_held_or_left() -> None:
     names = {kind.name for kind in library_classes()}
     assert names - set(OF_LOOP) == set(EFFECTS) == set(HELD) | set(LEFT)
     assert set(OF_LOOP) == {kind.name for kind in library_classes() if kind.per_loop}
+
+
+def test_an_export_says_where_the_log_alone_is_wrong(tmp_path: Path) -> None:
+    model = model_of(tmp_path, 2, ("encoder_scale",))
+    (effect,) = model.effects
+    for heard, said in ((1.0, False), (0.0, True)):
+        own = structs.replace(model, effects=(structs.replace(effect, shapes={"heard_by_loop": heard}),))
+        assert any("is of the log alone" in note for note in parts_of(own, "m.json").notes) == said
 
 
 @pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), *PAIRS], ids="+".join)
