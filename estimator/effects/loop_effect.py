@@ -57,7 +57,8 @@ class ClosedLoop(LoopEffect):
     """The record's input of a joint less what its loop's law makes of the true motion.
 
     A record without a measured torque has the law's input by the angle that was read, whose error is that of the
-    encoder times the gain: no noise of its own, which a fit could tell from the encoder's.
+    encoder times the gain: no noise of its own, which a fit could tell from the encoder's. It is no fault: without a
+    sentence it is not in the library.
     """
 
     name = "closed_loop"
