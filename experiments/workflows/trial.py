@@ -18,8 +18,9 @@ from estimator.prediction import SHORT_S, FittedModel, predict_filtered
 from estimator.signals import split_signals
 from experiments.session import load_runs, prepare, setup_of, with_delay
 
-FINEST_SEEN_HZ = 200.0
-"""Grid on which predictions are held against the record, whatever grid the fit was on."""
+SEEN_HZ = 200.0
+"""Predictions are held against the record on the grid next to this that has a whole part of its rate, whatever grid the
+fit was on."""
 RIGID = ("inertia", "gravity")
 
 
@@ -63,7 +64,7 @@ class Bench:
 
     def seen(self, rig: Rig) -> tuple[Dataset, ...]:
         """On the grid of the comparison."""
-        rate = min(FINEST_SEEN_HZ, self.own_rate)
+        rate = self.own_rate / max(1, round(self.own_rate / SEEN_HZ))
         return self.runs(structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=rate)))
 
     def between(self, rig: Rig) -> tuple[str, float]:
@@ -91,7 +92,7 @@ class Bench:
                 setup = setup_of(train, rig, self.sensors, self.fixed)
                 found = fit_admissible(setup.datasets, setup.mechanism, setup.options)
                 other = setup_of(held, rig, self.sensors, self.fixed, beta=found.beta)
-                alike = setup.datasets[0].rate_hz == other.datasets[0].rate_hz
+                alike = same_rate(setup.datasets[0].rate_hz, other.datasets[0].rate_hz)
                 late_s = delay_s + (0.0 if alike else lag(found.hold) / setup.datasets[0].rate_hz)
                 own = [with_delay(data, late_s) for data in other.datasets] if late_s else other.datasets
                 model = FittedModel(found.mechanism, found.hold if alike else "smooth", found.beta)
@@ -125,8 +126,13 @@ def _own_rate(paths: Sequence[Path | str], rig: Rig) -> float:
     """Samples a second of the first run as it was recorded [Hz]."""
     path = Path(paths[0])
     if path.name.lower().endswith((".csv", ".csv.gz")):
-        return float(1.0 / np.median(np.diff(read_csv(path, rig).time_s)))
-    return rig.devices.controller.rate_hz if rig.devices.controller is not None else FINEST_SEEN_HZ
+        return float(f"{1.0 / np.median(np.diff(read_csv(path, rig).time_s)):.6g}")
+    return rig.devices.controller.rate_hz if rig.devices.controller is not None else SEEN_HZ
+
+
+def same_rate(one: float, other: float) -> bool:
+    """Whether both grids have as many samples a second, to the jitter of a log."""
+    return abs(one - other) <= 1e-3 * other
 
 
 def errors_of(trial: Trial) -> str:

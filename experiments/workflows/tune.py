@@ -59,9 +59,8 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
 
     An entry changes only where a fit with it predicts runs not fitted: a finite error. Raises `InputError`, `FitError`.
     """
-    if rig.sampling.rate_hz is None:
-        own = load_runs(paths, rig, damaged)[0].rate_hz
-        rig = structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=own))
+    own = load_runs(paths, rig, damaged)[0].rate_hz  # where a stated rate is too fast for the record, its own
+    rig = structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=own))
     bench = Bench(paths, rig, sensors, damaged, fixed)
     out = Tuning(aside=bench.aside)
     done("terms", 0.05)

@@ -12,18 +12,24 @@ from estimator import FitError
 from estimator.model import lag, ticks_of
 from experiments.documents import Time, What
 from experiments.session import Choice, with_choices
-from experiments.workflows.trial import Bench, Trial, errors_of
+from experiments.workflows.trial import Bench, Trial, errors_of, same_rate
 
-GRIDS_HZ = (25.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+PARTS, LEAST_HZ = (1, 2, 4, 10, 20, 40), 25.0
+"""Grids have these parts of the record's own rate, and no less than this: on others readings lie between samples."""
+AUTO = "auto"
+"""Hold of a rig file that states none."""
 MOST_SAMPLES = 60_000
 """Of all runs together, on the finest grid that is tried."""
 GAIN = 0.03
 """Least relative reduction of the prediction error of held-out runs for an entry to change. Set-ups that differ by less
-count as equal: then the finest grid is chosen, on it no delay, and the hold of the rig file."""
+count as equal: then the finest grid is chosen, on it the likeliest hold if it needs no delay, else that of the rig
+file."""
 HOLDS = ("zero", "linear", "past", "average", "smooth")
 """Of `[sampling]`, tried on the best grid; those that act late or early also with a delay that makes up for it."""
 UNSURE = 0.05
 """Standard deviation of a delay that is written, in samples: no model of a leg tells less."""
+DELAYS, NO_PREDICTION = 8, 1e3
+"""Delays that are tried about the chosen one, and what counts as the score of one without a prediction."""
 WHY = {"rate_hz": "the finest grid of those that predict best", "hold": "how torque acts between samples",
        "control_period_s": "the controller holds its torque for so long",
        "torque_delay_s": "how long after its stamp the torque acts, beyond its hold"}
@@ -42,7 +48,7 @@ class Times(NamedTuple):
         """Entries of rig.toml that say so."""
         found: dict[tuple[str, str], Any] = {("sampling", "rate_hz"): self.rate_hz}
         ticks = ticks_of(self.hold)
-        found["sampling", "hold"] = "auto" if ticks > 1 else self.hold
+        found["sampling", "hold"] = AUTO if ticks > 1 else self.hold
         if ticks > 1:
             found["timing", "control_period_s"] = float(f"{1.0 / (ticks * self.rate_hz):.6g}")
         if self.delay_s:
@@ -95,18 +101,18 @@ def vary_times(bench: Bench, rig: Rig, now: Trial, done: Callable[[float], None]
     for k, grid in enumerate(grids):
         done(0.5 * k / len(grids))
         attempt(start._replace(rate_hz=grid))
-        late[grid] = _between(bench, _rig(rig, Times(grid, "auto", 0.0)))
-        if not late[grid][1] and start.hold == "auto":
+        late[grid] = _between(bench, _rig(rig, Times(grid, AUTO, 0.0)))
+        if not late[grid][1] and start.hold == AUTO:
             continue  # that is what the first trial found
         attempt(Times(grid, late[grid][0], late[grid][1] if _delay_is_open(rig) else 0.0))
         if _delay_is_open(rig):  # a step of a slow log can be a smooth torque that its device has averaged
             attempt(_as_late("smooth", grid, *late[grid]))
-    best = _chosen(tried, start)
+    best = _chosen(tried, start, {})
     more = _holds(best.rate_hz, *late.get(best.rate_hz, ("smooth", 0.0)), _delay_is_open(rig))
     for k, times in enumerate(more):
         done(0.5 + 0.5 * k / len(more))
         attempt(times)
-    best = _chosen(tried, start)
+    best = _refined(_chosen(tried, start, late), attempt)
     gains = (_gain("rate", "rate_hz", best, start, attempt), _gain("hold", "hold", best, start, attempt),
              _gain("delay", "delay_s", best, start, attempt))
     return FoundTimes(_choices(best, start, tried), tried[best], gains, _rows(tried, start),
@@ -116,9 +122,10 @@ def vary_times(bench: Bench, rig: Rig, now: Trial, done: Callable[[float], None]
 def _grids(bench: Bench, rig: Rig) -> list[float]:
     """Rates that the records have samples for, and that are no longer than what can be tried."""
     seconds = sum(len(d) / d.rate_hz for d in bench.runs(rig))
-    own, now = float(f"{bench.own_rate:.6g}"), rig.sampling.rate_hz or 0.0
-    rates = [g for g in (*GRIDS_HZ, own) if g <= 1.001 * own and g * seconds <= MOST_SAMPLES]
-    return sorted({g for g in rates if abs(g - now) > 1e-3 * now} | {now})
+    now = rig.sampling.rate_hz or 0.0
+    rates = [rate for part in PARTS
+             if (rate := bench.own_rate / part) * seconds <= MOST_SAMPLES and (rate >= LEAST_HZ or part == 1)]
+    return sorted({g for g in rates if not same_rate(g, now)} | {now})
 
 
 def _delay_is_open(rig: Rig) -> bool:
@@ -150,18 +157,42 @@ def _rig(rig: Rig, times: Times) -> Rig:
     return with_choices(rig, [Choice(table, key, value, "", "") for (table, key), value in times.entries().items()])
 
 
-def _chosen(tried: Mapping[Times, Trial], start: Times) -> Times:
-    """Of those that predict as well as the best the one on the finest grid, with no delay and the rig's hold.
+def _chosen(tried: Mapping[Times, Trial], start: Times, late: Mapping[float, tuple[str, float]]) -> Times:
+    """Of those that predict as well as the best the one on the finest grid: without a delay, by the likeliest hold.
 
-    Hold and delay of the rig file stay where another gains too little on that grid.
+    Hold and delay of the rig file stay where another gains too little on that grid, unless the likeliest hold, `late`
+    by grid, needs no delay: likelihoods on one grid tell holds apart that predict alike.
     """
     least = min(trial.score for trial in tried.values())
     if not np.isfinite(least):
         return start
     good = [times for times, trial in tried.items() if trial.score <= least - np.log(1.0 - GAIN)]
     best = max(good, key=lambda t: (t.rate_hz, t.delay_s == 0.0, t.hold == start.hold, -tried[t].score))
-    same = start._replace(rate_hz=best.rate_hz)
+    hold, delay_s = late.get(best.rate_hz, ("", 0.0))
+    likeliest, same = Times(best.rate_hz, hold, 0.0), start._replace(rate_hz=best.rate_hz)
+    if start.hold != AUTO and not delay_s and likeliest in good:
+        return likeliest
     return same if same in tried and tried[same].score <= tried[best].score - np.log(1.0 - GAIN) else best
+
+
+def _refined(best: Times, attempt: Callable[[Times], Trial]) -> Times:
+    """`best` with the delay by which it predicts better than by its own, up to half a sample away.
+
+    In a loop the steps between samples are the controller's answer to noise, and the likelihood of a held torque may
+    follow them instead of the motion.
+    """
+    if not best.delay_s:
+        return best
+    from scipy.optimize import minimize_scalar
+
+    def of(delay_s: float) -> Times:
+        return best._replace(delay_s=round(float(delay_s), 6))
+
+    half = 0.5 / best.rate_hz
+    found = of(minimize_scalar(lambda delay_s: min(attempt(of(delay_s)).score, NO_PREDICTION), method="bounded",
+                               bounds=(best.delay_s - half, best.delay_s + half),
+                               options={"xatol": UNSURE / best.rate_hz, "maxiter": DELAYS}).x)
+    return found if attempt(found).score < attempt(best).score + np.log(1.0 - GAIN) else best
 
 
 def _gain(what: What, name: str, best: Times, start: Times, attempt: Callable[[Times], Trial]) -> Gain:

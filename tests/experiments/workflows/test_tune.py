@@ -13,6 +13,8 @@ from daq.runs import write_csv
 from experiments.cli import main
 from experiments.session import with_choices
 from experiments.workflows import tune_runs
+from experiments.workflows.trial import Trial
+from experiments.workflows.tune_times import Times, _refined
 from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
 from tests.support.timed_leg import Timing, record
@@ -101,3 +103,30 @@ def test_a_hold_that_needs_no_delay_is_tried_on_each_grid(tmp_path: Path) -> Non
     chosen = with_choices(rig, found.choices)
     assert chosen.sampling.rate_hz == 100.0 and chosen.sampling.hold == "auto"
     assert chosen.timing.control_period_s == 0.005 and chosen.timing.torque_delay_s is None
+
+
+def test_grids_have_whole_parts_of_the_record_s_rate(tmp_path: Path) -> None:
+    """At 200 of 250 samples a second each reading lies between two, and the record's own grid seemed the worse one."""
+    rng = np.random.default_rng(3)
+    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
+    for file in runs:
+        write_csv(record(leg, rng, Timing(500.0, 2), seconds=6.0, name=file.stem), file)
+    rig = parse_rig(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
+                    '[sampling]\nrate_hz = 125.0\nhold = "average"\n')
+    found = tune_runs(runs, rig)
+    grids = {float(value) for entry, value, _ in found.tried if entry == "[sampling] rate_hz"}
+    assert grids == {25.0, 62.5, 250.0}
+    chosen = with_choices(rig, found.choices)
+    assert chosen.sampling.rate_hz == 250.0 and chosen.timing.control_period_s == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize(("depth", "wanted"), [(4.0, 0.0122), (0.1, 0.0150)])
+def test_a_delay_changes_where_another_predicts_better(depth: float, wanted: float) -> None:
+    """The likelihood's stays where the others gain too little."""
+    def attempt(times: Times) -> Trial:
+        off = 100.0 * (times.delay_s - 0.0122)
+        return Trial(depth * off**2, np.zeros(2), {}, None)
+
+    found = _refined(Times(100.0, "smooth", 0.0150), attempt)
+    assert found[:2] == (100.0, "smooth") and found.delay_s == pytest.approx(wanted, abs=4e-4)
+    assert _refined(Times(100.0, "smooth", 0.0), attempt).delay_s == 0.0
