@@ -38,6 +38,8 @@ class Dataset:
     clock_bound_s: float = 0.0
     """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]; 0 where all
     share one clock."""
+    averaged: float = 1.0
+    """Samples of its file whose mean is one of the grid."""
     damage: tuple[Damage, ...] = ()
     """Ways in which its file is not what was recorded; empty for a whole one."""
     flags: tuple[Flag, ...] = ()

@@ -59,30 +59,29 @@ def own_rate(channels: Sequence[TimedColumns]) -> float:
 
 
 def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
-    """`table` on a uniform grid of `rate_hz`, by default of its own rate.
+    """`table` on a uniform grid of `rate_hz`, by default, and where that is much finer, of its own rate.
 
     Samples that lie on such a grid already (within 1 % of a step) are taken as they are. Raises `InputError` where
     they come too seldom for it.
     """
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
-    step_s = 1.0 / max(_rate(table.time_s), 1e-12)
-    if rate_hz is None:
-        rate_hz = own_rate([TimedColumns(table.time_s, columns)])
-    if step_s * rate_hz > _SPARSE:
+    found, text = _rate(table.time_s), ""
+    step_s = 1.0 / max(found, 1e-12)
+    if rate_hz is not None and step_s * rate_hz > _SPARSE:
         raise InputError(table.name, f"has a sample every {step_s:.3g} s, the grid is of {rate_hz:g} Hz",
                          'check that time_s is in seconds (unit = "ms" under [columns.time_s]), or lower rate_hz under '
                          "[sampling]")
-    time_s = snapped_times(table.time_s, rate_hz)
-    run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
-    run = replace(run, flags=(*table.flags, *run.flags))
-    if step_s * rate_hz > OVERSAMPLED:
-        text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
-                f"times, and intervals are too narrow; take rate_hz out of [sampling]")
-        run = replace(run, flags=(*run.flags, Flag("grid", text)))
-    elif step_s * rate_hz * OVERSAMPLED <= 1.0:
-        text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: they are averaged, and what moves "
-                "faster is lost; take rate_hz out of [sampling] to use all")
-        run = replace(run, flags=(*run.flags, Flag("grid", text)))
+    if rate_hz is not None and step_s * rate_hz > OVERSAMPLED:
+        text = (f"has {found:.3g} samples a second, fewer than rate_hz = {rate_hz:g}: nothing is interpolated, its own "
+                "grid is used; take rate_hz out of [sampling]")
+    if rate_hz is None or text:
+        rate_hz = own_rate([TimedColumns(table.time_s, columns)])
+    run = align_channels(table.name, [TimedColumns(snapped_times(table.time_s, rate_hz), columns)], rate_hz)
+    if step_s * rate_hz * OVERSAMPLED <= 1.0:
+        text = (f"has {found:.3g} samples a second, the grid {rate_hz:g}: they are averaged, and what moves faster is "
+                "lost; take rate_hz out of [sampling] to use all")
+        run = replace(run, averaged=found / rate_hz)
+    run = replace(run, flags=(*table.flags, *run.flags, *([Flag("grid", text)] if text else [])))
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 

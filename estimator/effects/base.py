@@ -10,7 +10,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, NamedTuple, Protocol
+from itertools import product
+from typing import ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,10 +269,7 @@ class Effect(ABC):
 
     def grid(self) -> list[tuple[float, ...]]:
         """All combinations of shapes that scoring tries."""
-        combinations: list[tuple[float, ...]] = [()]
-        for shape in self.shapes:
-            combinations = [(*c, value) for c in combinations for value in self.tried(shape)]
-        return combinations
+        return list(product(*map(self.tried, self.shapes)))
 
     def clipped(self, size: FloatArray) -> FloatArray:
         """`size` with its shapes kept near the range of their grids (`Shape`), on their side of zero."""
@@ -294,6 +292,10 @@ class Effect(ABC):
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         """Its contribution at `size` (count,) to the motion in `view`."""
+
+    def about(self, size: FloatArray) -> Self:
+        """The effect whose differences near `size` (count,) are its derivatives: one without its jumps."""
+        return self
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from typing import Self
+
 import numpy as np
 
 from daq import FloatArray
@@ -22,6 +25,15 @@ class TorqueDelay(TorqueSensorEffect):
     experiment = "motion at high frequency: phase grows with it"
     depends_on = "du"
     plans = ("fast",)
+    fast_s: float | None = None
+    """Delay by which the fast part of a record moves [s]; None: the size."""
+
+    def about(self, size: FloatArray) -> Self:
+        """The same with the fast part of a record where it is: its steps are no derivative, and no delay would cross
+        one."""
+        own = copy(self)
+        own.fast_s = float(size[0])
+        return own
 
     def told(self, size: FloatArray) -> str:
         """Sentence that says which of both comes first, and by how much."""
@@ -39,6 +51,7 @@ class TorqueDelay(TorqueSensorEffect):
         found = {}
         for channel in (torque_of(j) for j in self.driven(view)):
             y, slow = view.measured.readings[channel], view.measured.slow[channel]
-            found[channel] = -np.concatenate([added_by_delay(y[part], slow[part], -size[0] / view.dt_s)
+            late, fast = -np.array([size[0], size[0] if self.fast_s is None else self.fast_s]) / view.dt_s
+            found[channel] = -np.concatenate([added_by_delay(y[part], slow[part], late, fast)
                                               for part in view.segments()])
         return found

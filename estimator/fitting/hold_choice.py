@@ -36,17 +36,17 @@ from estimator.fitting.imu_age import LATEST_S
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.newton_step import newton_step
 from estimator.likelihood import LatentProblem, Latents, Noise, State
-from estimator.model import HELD, HOLDS, Mechanism, lag
+from estimator.model import HELD, HOLDS, PAST, TICKS, Mechanism, lag
 from estimator.numerics import eliminate
 from estimator.options import FitOptions
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 FIRST = "smooth"
 """The hold of the fit at whose noise levels the others are compared."""
-TRIED = tuple(hold for hold in HOLDS if hold != "average")
+TRIED = tuple(hold for hold in HOLDS if hold != "average" and not hold.startswith(f"{PAST}/"))
 """Holds that are chosen from. `average` is as late as `smooth`, and wins against it by what an accelerometer sees of
-steps: it has to be stated."""
-RARE = {"linear": 15.0, "past": 3.0}
+steps: it has to be stated. past/N is that of a file with N samples for one of the grid."""
+RARE = {"linear": 15.0, PAST: 3.0}
 """Log-likelihood by which such a hold must beat the others: a torque with a corner at every sample of the grid is made
 by a plant on that grid, and a mean over the past by a logger, seldom by a rig's controller. (Measured under a PD loop
 of 1 kHz, logged at 200 Hz: `linear` is 9 to 13 ahead of the true hold.)"""
@@ -57,7 +57,7 @@ DELAY_S = 0.01
 KNOWN, KNOWN_S = 0.05, 2e-4
 """... of how late a hold without a delay, or an IMU without an age, may be [samples] and [s]: no model of a leg tells
 less."""
-EXCERPT = 2000
+EXCERPT = 8000
 """Samples that are looked at, or ..."""
 SHARE = 4
 """... one in so many of a longer record: of each segment its first part."""
@@ -108,8 +108,8 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     whole = np.append(free, np.ones(len(delays), bool))
     begin = _freed(LatentProblem(parts, mechanism, FIRST, effects=delays), begin, whole, options)
     age = _age(begin, fitted.dt) if fitted.has_imu and begin.converged else 0.0
-    runners = {}
-    for hold in TRIED:
+    tried, runners = _tried(signals), {}
+    for hold in tried:
         beta = begin.beta.copy()
         if mechanism.actuated:
             beta[mechanism.p] += (lag(hold) - lag(FIRST)) * fitted.dt
@@ -117,19 +117,28 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
         runners[hold] = _Runner(problem, begin.x, beta, begin.noise, np.flatnonzero(whole))
     found = {hold: runner.step() for hold, runner in runners.items()}
     ahead = max(one.value for one in found.values()) - LOST
-    found |= {hold: runners[hold].step() for hold in TRIED if found[hold].value > ahead}
-    values = {hold: one.without - RARE.get(hold, 0.0) for hold, one in found.items()}
+    found |= {hold: runners[hold].step() for hold in tried if found[hold].value > ahead}
+    values = {hold: one.without - RARE.get(hold.partition("/")[0], 0.0) for hold, one in found.items()}
     best, second, *_ = sorted(values, key=lambda hold: -values[hold])
     if not np.isfinite(found[best].without):
         return HoldChoice(FIRST, 0.0, HELD)
-    late = _delayed(parts, mechanism, begin, delays, np.flatnonzero(whole)) if found[best].delay_s else None
+    late = _delayed(parts, mechanism, begin, delays, np.flatnonzero(whole), tried) if found[best].delay_s else None
     if late is not None:
         return late._replace(imu_age_s=age)
     return HoldChoice(best, found[best].without - found[second].without, second, 0.0, age)
 
 
+def _tried(signals: Sequence[SignalSet]) -> tuple[str, ...]:
+    """Holds that these samples may have."""
+    samples = signals[0].averaged
+    if samples < 1.5:
+        return TRIED
+    nearest = min(TICKS, key=lambda n: abs(n - samples))
+    return (*TRIED, f"{PAST}/{nearest}") if samples < 1.5 * nearest else TRIED
+
+
 def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, delays: tuple[Effect, ...],
-             free: NDArray[np.intp]) -> HoldChoice | None:
+             free: NDArray[np.intp], tried: Sequence[str]) -> HoldChoice | None:
     """The likelier of a held and a smooth torque, each with its likeliest delay.
 
     `TorqueDelay` delays the smooth one. The held one moves by whole samples, and steps within a sample. A hold that is
@@ -174,8 +183,8 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
         return HoldChoice(FIRST, np.inf, HELD, centre)
     fall = best - held(delay + KNOWN) + best - held(delay - KNOWN)
     ahead = best - line.optimum
-    ways = [(FIRST, centre, line.std_s, TRIED, -ahead),
-            (HELD, (delay + lag(HELD)) / rate, KNOWN / np.sqrt(max(fall, 1e-6)) / rate, (HELD, "past"), ahead)]
+    ways = [(FIRST, centre, line.std_s, tried, -ahead),
+            (HELD, (delay + lag(HELD)) / rate, KNOWN / np.sqrt(max(fall, 1e-6)) / rate, (HELD, PAST), ahead)]
     for family, late, std, holds, margin in sorted(ways, key=lambda way: -way[-1]):
         nearest = holds[int(np.argmin(np.abs(rate * late - np.array([lag(hold) for hold in holds]))))]
         if not _evidence(0.0, late - lag(nearest) / rate, std, 1.0 / rate).delay_s:

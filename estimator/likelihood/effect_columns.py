@@ -138,7 +138,7 @@ def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:
     """Derivative by each size and shape, central differences."""
     steps = [s.scale * SIZE_STEP for s in effect.sizes]
     steps += [SHAPE_STEP * abs(v) + LEAST_SHAPE_STEP for v in size[len(effect.sizes) :]]
-    out = []
+    effect, out = effect.about(size), []
     for i, h in enumerate(steps):
         up, down = size.copy(), size.copy()
         up[i] += h
@@ -149,8 +149,8 @@ def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:
 
 def slopes_at_zero(candidate: Candidate, view: View) -> list[Perturbation]:
     """Derivative by each size at zero, at the candidate's shape."""
-    effect = candidate.effect
-    out = []
+    effect, out = candidate.effect, []
+    effect = effect.about(np.array([0.0] * len(effect.sizes) + list(candidate.shape)))
     for i, s in enumerate(effect.sizes):
         size = np.array([0.0] * len(effect.sizes) + list(candidate.shape))
         size[i] = s.scale

@@ -15,7 +15,7 @@ from estimator.effects import Commanded, Record
 from estimator.likelihood import correlated_torque
 from estimator.likelihood.command_record import commands_at
 from estimator.likelihood.noise import Noise
-from estimator.model import Collocation, Mechanism, ticks_of
+from estimator.model import Collocation, Mechanism, curves
 from estimator.signals import (
     GYRO,
     SLOW_SHARE,
@@ -66,7 +66,7 @@ class MeasuredRuns:
         self.torque = np.concatenate([s.torque for s in signals])
         self.between: FloatArray | None = None
         """(n, 2, K) torque at the Gauss points beyond what the latents at samples give: of the measured torque."""
-        if hold == "smooth" or ticks_of(hold) > 1:
+        if curves(hold):
             self.between = self._curve([s.low_passed("torque", CURVED / self.dt) for s in signals])
         self.angles = np.concatenate([s.angles for s in signals])
         spread = [s.spread for s in signals if s.spread is not None]

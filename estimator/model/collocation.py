@@ -30,11 +30,15 @@ SPLINE_REACH = 24
 """Samples beyond which a spline's slope feels nothing: 0.27^24 is 1e-14."""
 HELD = "zero"
 """Hold of a torque that acts from its stamp until the next one: that of a digital controller."""
+PAST = "past"
+"""Hold of a reading that is the mean over the interval that ends at its stamp."""
 TICKS = (2, 3, 4, 5, 10)
 """Ticks of a controller from one sample of its log to the next that are told apart; more are `smooth`."""
-STEPPED = {HELD: 0.5, "average": 0.0, "past": -0.5}
+STEPPED = {HELD: 0.5, "average": 0.0, PAST: -0.5}
 """Holds of a torque that steps once a sample, to how late it acts in the mean [samples]."""
-HOLDS = (HELD, *(f"{HELD}/{n}" for n in TICKS), "past", "linear", "average", "smooth")
+PARTS = {f"{hold}/{n}": late / n for hold, late in STEPPED.items() if late for n in TICKS}
+"""Holds of a smooth torque between finer samples than the grid's, to how late it acts in the mean [samples]."""
+HOLDS = (*STEPPED, *PARTS, "linear", "smooth")
 
 
 def after(samples: Samples) -> Samples:
@@ -59,7 +63,8 @@ def hold_weights(hold: str, late: float = 0.0) -> FloatArray:
     zero: the sample before. past: the sample after, which is the mean over the interval that ends at its stamp.
     linear: a ramp. average: a sample is the mean over a window centred on its stamp, so it acts until half-way. smooth:
     as linear; `Collocation.between` adds the curve. zero/N: held by a controller with N ticks a sample, of which the
-    log has one: smooth, and late by `lag`. Raises ValueError for others.
+    log has one: smooth, and late by `lag`. past/N: of a log with N samples for one of the grid, their mean. Raises
+    ValueError for others.
     """
     if hold not in HOLDS:
         raise ValueError(f"hold {hold!r} is none of {HOLDS}")
@@ -68,7 +73,7 @@ def hold_weights(hold: str, late: float = 0.0) -> FloatArray:
         return np.stack([mean - moment, mean + moment])
     if hold == HELD:
         return np.array([[1.0, 0.0], [1.0, 0.0]])
-    if hold == "past":
+    if hold == PAST:
         return np.array([[0.0, 1.0], [0.0, 1.0]])
     if hold == "average":
         return np.array([[1.0, 0.0], [0.0, 1.0]])
@@ -82,7 +87,12 @@ def ticks_of(hold: str) -> int:
 
 def lag(hold: str) -> float:
     """Samples by which a torque acts after its stamp in the mean: half a tick of the controller that holds it."""
-    return STEPPED.get(hold, 0.5 / ticks_of(hold) if ticks_of(hold) else 0.0)
+    return STEPPED.get(hold, PARTS.get(hold, 0.0))
+
+
+def curves(hold: str) -> bool:
+    """Whether the torque between samples is a smooth curve through them."""
+    return hold == "smooth" or hold in PARTS
 
 
 def spline_slopes(u: FloatArray) -> FloatArray:
@@ -144,7 +154,7 @@ class Collocation:
         of 100 Hz 0.3 %, and all inertias come out smaller by as much. The Gauss points stand for integral and first
         moment, here those of the cubic with the spline's slopes at both samples.
         """
-        curved = self.hold == "smooth" or ticks_of(self.hold) > 1
+        curved = curves(self.hold)
         if not curved:
             return None
         parts, late = [], lag(self.hold) + self.late

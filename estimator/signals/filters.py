@@ -90,13 +90,15 @@ def shifted(x: FloatArray, samples: float) -> FloatArray:
     return np.asarray(shift(x, samples, order=3, mode="nearest"), dtype=np.float64)
 
 
-def added_by_delay(x: FloatArray, slow: FloatArray, samples: float) -> FloatArray:
+def added_by_delay(x: FloatArray, slow: FloatArray, samples: float, fast_samples: float | None = None) -> FloatArray:
     """(n,) x so many samples later, less x (n,); the ends of x are held.
 
-    Its `slow_part` moves by parts of a sample. What is fast, noise and a controller's steps, moves by whole samples:
-    noise that falls between samples is averaged, and an estimate of a delay would be drawn to half a sample for it.
+    Its `slow_part` moves by parts of a sample. What is fast, noise and a controller's steps, moves by the whole samples
+    in `fast_samples`, by default in `samples`: noise that falls between samples is averaged, and an estimate of a delay
+    would be drawn to half a sample for it.
     """
-    whole, fast = np.trunc(samples + np.copysign(WHOLE, samples)), x - slow
+    late = samples if fast_samples is None else fast_samples
+    whole, fast = np.trunc(late + np.copysign(WHOLE, late)), x - slow
     return shifted(slow, samples) - slow + (shifted(fast, whole) - fast if whole else 0.0)
 
 

@@ -44,6 +44,8 @@ class SignalSet:
     """Of a walker's step, whether leg 2 stands: `Mechanism.exchanged` joints have changed places."""
     commands: Commands | None = None
     """What position loops were told; None where no joint follows a command."""
+    averaged: float = 1.0
+    """Samples of the file whose mean is one of these."""
 
     def low_passed(self, column: str, cutoff_hz: float) -> FloatArray:
         """(n, joints) the "torque", or (n,) a column of an IMU, low-passed: once for all problems of these samples."""
@@ -138,7 +140,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
             found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
                                    {name: data[name][where] for name in imu}, _spread(data, where, levels),
                                    bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2,
-                                   commands_of(data, mechanism.n, where)))
+                                   commands_of(data, mechanism.n, where), data.averaged))
     if not found:
         raise GapError("no segment of 20 samples without a gap in any run")
     if len({s.rate_hz for s in found}) > 1:

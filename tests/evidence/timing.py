@@ -43,6 +43,7 @@ class Answer(NamedTuple):
 
     timing: Timing
     hold: str
+    """Of the diagnosis, beyond which a delay is named."""
     within: tuple[bool, ...]
     """Whether each of beta1..9 is in the fit's interval."""
     trust: str
@@ -98,7 +99,7 @@ def answer(seed: int, turn: int) -> Answer:
         if cause.effect == "torque_delay":
             (size,) = (s for s in cause.size if s.name == "delay")
             delay = (-size.value, -size.ci95[1], -size.ci95[0])
-    return Answer(timing, fit.estimate.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
+    return Answer(timing, found.details.hold, inside, str(fit.trust).split(" the ")[0], found.verdict,
                   tuple(c.effect for c in found.causes),
                   found.details.error[0] if found.details.error else np.nan, delay)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,10 @@ from estimator import FitOptions
 from estimator.diagnosis import diagnose
 from estimator.diagnosis.account import interval
 from estimator.effects import SensorTimeSkew, TorqueDelay
+from estimator.likelihood import LatentProblem, Latents
+from estimator.likelihood.effect_columns import slopes
 from estimator.model import leg2
+from estimator.signals import split_signals, torque_of
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record
 
@@ -24,6 +28,22 @@ def test_an_interval_holds_those_of_other_holds(delays_s: tuple[float, ...], low
     model: Any = SimpleNamespace(split=SimpleNamespace(delays_s=delays_s), problem=SimpleNamespace(dt=0.005))
     assert interval(model, TorqueDelay(), -0.010, 0.0002) == pytest.approx((low, high))
     assert interval(model, SensorTimeSkew(), -0.010, 0.0002) == pytest.approx((-0.0102, -0.0098))
+
+
+def test_the_slope_of_a_delay_has_no_step_of_whole_samples() -> None:
+    """Steps of a controller move by whole samples: across one, the delay of a fit seemed known to 0.01 ms."""
+    leg = random_leg(np.random.default_rng(7))
+    run = record(leg, np.random.default_rng(8), Timing(100.0, 1, 0.0, "zero", "pd"), seconds=6.0, name="run")
+    mechanism = leg2(lever_arm=leg.lever)
+    problem = LatentProblem(split_signals([run], mechanism, FitOptions()), mechanism, "zero", effects=(TorqueDelay(),))
+    still = np.zeros_like(problem.torque)
+    view = replace(problem.view(Latents(still, still, problem.torque), np.append(leg.beta(), 0.0)),
+                   measured=problem.record)
+    (inside,), (across,) = (slopes(TorqueDelay(), view, np.array([late_s])) for late_s in (-0.025, -0.02003))
+    one, other = (np.abs(slope.readings[torque_of(1)]) for slope in (inside, across))
+    assert other.max() == pytest.approx(one.max(), rel=0.5)
+    fast = problem.record.readings[torque_of(1)] - problem.record.slow[torque_of(1)]
+    assert np.abs(np.diff(fast)).max() / 2e-4 > 3.0 * one.max()  # a step in 0.2 ms
 
 
 def test_the_interval_of_a_delay_under_a_loop_holds_it() -> None:

@@ -9,6 +9,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from daq import Dataset
+from daq.runs import RawTable
+from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import between_samples
 from estimator.fitting.hold_choice import HoldChoice
@@ -123,6 +125,17 @@ def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     leg = random_leg(rng)
     runs = [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
     assert between_samples(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
+
+
+@pytest.mark.parametrize(("between", "hold"), [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
+def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str, hold: str) -> None:
+    """Half a sample of the file is a quarter of one of the grid: a mean over the past was 2.5 ms of a delay."""
+    rng = np.random.default_rng(11)
+    leg = random_leg(rng)
+    runs = [record_timed(leg, rng, Timing(200, between=between), seconds=8.0, name=f"r{k}") for k in range(4)]
+    coarse = [align_table(RawTable(run.name, run.time_s, run.columns), 100.0) for run in runs]
+    assert coarse[0].averaged == pytest.approx(2.0) and runs[0].averaged == 1.0
+    assert between_samples(coarse, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[:1] == (hold,)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
