@@ -133,11 +133,14 @@ def _delay_is_open(rig: Rig) -> bool:
 
 
 def _between(bench: Bench, rig: Rig) -> tuple[str, float]:
+    """The likeliest hold and delay [s], as a rig file states them."""
     try:
         hold, delay_s = bench.between(rig)
-        return hold, round(delay_s, 6)
     except (FitError, np.linalg.LinAlgError):
         return "smooth", 0.0
+    if hold in HOLDS or ticks_of(hold):
+        return hold, round(delay_s, 6)
+    return "smooth", round(delay_s + lag(hold) / bench.runs(rig)[0].rate_hz, 6)
 
 
 def _holds(rate_hz: float, hold: str, delay_s: float, open_delay: bool) -> list[Times]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from experiments.cli import main
 from experiments.session import with_choices
 from experiments.workflows import tune_runs
 from experiments.workflows.trial import Trial
-from experiments.workflows.tune_times import Times, _refined
+from experiments.workflows.tune_times import Times, _between, _refined
 from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
 from tests.support.timed_leg import Timing, record
@@ -118,6 +120,12 @@ def test_grids_have_whole_parts_of_the_record_s_rate(tmp_path: Path) -> None:
     assert grids == {25.0, 62.5, 250.0}
     chosen = with_choices(rig, found.choices)
     assert chosen.sampling.rate_hz == 250.0 and chosen.timing.control_period_s == pytest.approx(0.002)
+
+
+def test_a_hold_that_no_rig_file_states_is_a_smooth_torque_and_a_delay() -> None:
+    run = SimpleNamespace(rate_hz=50.0)
+    bench: Any = SimpleNamespace(between=lambda rig: ("past/2", 0.003), runs=lambda rig: [run])
+    assert _between(bench, parse_rig(LEG_RIG)) == ("smooth", pytest.approx(-0.002))
 
 
 @pytest.mark.parametrize(("depth", "wanted"), [(4.0, 0.0122), (0.1, 0.0150)])
