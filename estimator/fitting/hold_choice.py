@@ -57,7 +57,7 @@ DELAY_S = 0.01
 KNOWN, KNOWN_S = 0.05, 2e-4
 """... of how late a hold without a delay, or an IMU without an age, may be [samples] and [s]: no model of a leg tells
 less."""
-EXCERPT = 8000
+EXCERPT = 2000
 """Samples that are looked at, or ..."""
 SHARE = 4
 """... one in so many of a longer record: of each segment its first part."""
