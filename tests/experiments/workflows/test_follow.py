@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ import pytest
 from daq import Dataset, InputError, parse_rig
 from daq.runs import read_csv
 from daq.runs.csv_run import write_csv
+from estimator import LoopTerm
+from estimator.model import leg2
 from experiments.cli import main
 from experiments.models import load_model
 from experiments.workflows.follow import follow_commands
+from experiments.workflows.loop_values import loop_findings
 from tests.support.models import LEG as SETTINGS
 from tests.support.models import write_model
 from tests.support.mujoco_leg import Leg
@@ -47,3 +52,11 @@ def test_what_is_lacking_is_named(tmp_path: Path, run: Dataset) -> None:
         follow_commands(model, tmp_path / "plan.csv", parse_rig(RIG), "m.json")
     with pytest.raises(InputError, match="no gain under"):
         follow_commands(model, tmp_path / "plan.csv", parse_rig(RIG.split("[servo]")[0]), "m.json")
+
+
+@pytest.mark.parametrize(("std_s", "said"), [(0.001, "act 12 ms late, +-2 ms"), (4e55, "do not show how late")])
+def test_a_delay_that_the_runs_do_not_show_has_no_interval_of_years(std_s: float, said: str) -> None:
+    servo = parse_rig(RIG).servo
+    result: Any = SimpleNamespace(mechanism=leg2(), loop=(LoopTerm("delay_s", 1, 0.012, std_s),), trajectories=())
+    assert servo is not None
+    assert said in loop_findings(result, servo)[0].text
