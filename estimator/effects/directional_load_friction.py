@@ -36,9 +36,9 @@ class DirectionalLoadFriction(TorqueEffect):
     by_hand = "record the session a second time with another payload"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
-        j, m, n = self.joint or 0, view.mechanism, len(at.u)
+        j, m = self.joint or 0, view.mechanism
         motor = at.u[j] - (view.parameter("viscous", j) * at.v[j] if m.force_unit == "V" else 0.0)
-        against_load = m.load_of_links(j, at.q[:n], at.v[:n], view.beta)
+        against_load = m.load_of_links(j, at.q[: m.n], at.v[: m.n], view.beta)  # without bodies on top
         transmitted = np.sqrt(((1.0 - size[2]) * motor + size[2] * against_load) ** 2 + 1e-6)
         near_rest = np.exp(-((at.v[j] / size[3]) ** 2))
         return np.asarray((size[0] + size[1] * near_rest) * transmitted * at.sign[j])

@@ -10,10 +10,12 @@ import pytest
 
 from daq import FloatArray
 from estimator import FitError
-from estimator.effects import Perturbation, library
+from estimator.effects import Perturbation, View, library
+from estimator.effects.base import Points
+from estimator.effects.directional_load_friction import DirectionalLoadFriction
 from estimator.effects.end_stop_contact import EndStopContact
 from estimator.effects.generic_terms import READINGS
-from estimator.model import ImuPlace, chain, leg2, smooth_sign
+from estimator.model import ImuPlace, chain, joint1, leg2, smooth_sign
 
 
 def test_a_reading_of_no_channel_is_refused_with_the_remedy() -> None:
@@ -35,6 +37,21 @@ def test_each_of_several_motors_has_its_own_shunt_and_the_only_one_has_no_joint(
         assert {key for key in several if key.startswith(name)} == {f"{name}@1", f"{name}@3"}
         assert {key for key in one if key.startswith(name)} == {name}
     assert "torque_delay" in several & one
+
+
+def test_a_load_on_a_gear_is_that_of_the_links_without_a_body_on_top() -> None:
+    """A body that a simulation moves, too, has a row of its own: a diagnosis ended in a shape mismatch."""
+    m = joint1()
+    beta, size = np.array([0.1, 0.5, 0.0, 0.0]), np.array([0.1, 0.0, 1.0, 0.3])
+
+    def torque(rows: int) -> FloatArray:
+        still = np.zeros((rows, 2, 3))
+        at = Points(still + 0.4, still, still, still, still + 1.0, still[0], still[0], still[0])
+        view = View(m, beta, at, at, np.arange(3), (0.2, 0.8), np.zeros(1, dtype=np.intp), 0.01, np.ones(rows))
+        return DirectionalLoadFriction(0).law(at, size, view)
+
+    np.testing.assert_allclose(torque(2), torque(1))
+    np.testing.assert_allclose(torque(1), 0.1 * 0.5 * 9.81 * np.sin(0.4), rtol=1e-3)
 
 
 def test_an_encoder_that_is_not_read_has_no_effect() -> None:
