@@ -10,7 +10,6 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, FloatArray, Rig
-from daq.runs import read_csv
 from estimator import FitError
 from estimator.fitting import between_samples, fit_admissible
 from estimator.model import lag
@@ -51,7 +50,9 @@ class Bench:
         gone = {run.run for run in self.aside}
         self.grids = {rig.sampling.rate_hz: tuple(data for data in self.runs(rig) if data.name not in gone)}
         self.paths = [p for p in self.paths if Path(p).name not in gone]
-        self.own_rate = _own_rate(self.paths, rig)
+        silent = structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=None))
+        self.own_rate = self.runs(silent)[0].rate_hz
+        """Of the records' own grid [Hz]."""
         self.delay = rig.timing.torque_delay_s
         """Which the runs have in them."""
 
@@ -120,14 +121,6 @@ def _half(runs: Sequence[Dataset], k: int) -> list[Dataset]:
         return list(runs[k::2])
     middle = len(runs[0]) // 2
     return [runs[0].part(slice(0, middle) if k == 0 else slice(middle, None))]
-
-
-def _own_rate(paths: Sequence[Path | str], rig: Rig) -> float:
-    """Samples a second of the first run as it was recorded [Hz]."""
-    path = Path(paths[0])
-    if path.name.lower().endswith((".csv", ".csv.gz")):
-        return float(f"{1.0 / np.median(np.diff(read_csv(path, rig).time_s)):.6g}")
-    return rig.devices.controller.rate_hz if rig.devices.controller is not None else SEEN_HZ
 
 
 def same_rate(one: float, other: float) -> bool:

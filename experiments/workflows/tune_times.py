@@ -14,7 +14,7 @@ from experiments.documents import Time, What
 from experiments.session import Choice, with_choices
 from experiments.workflows.trial import Bench, Trial, errors_of, same_rate
 
-PARTS, LEAST_HZ = (1, 2, 4, 10, 20, 40), 25.0
+PARTS, LEAST_HZ = (1, 2, 4, 8, 16, 32), 20.0
 """Grids have these parts of the record's own rate, and no less than this: on others readings lie between samples."""
 AUTO = "auto"
 """Hold of a rig file that states none."""

@@ -117,7 +117,7 @@ def test_grids_have_whole_parts_of_the_record_s_rate(tmp_path: Path) -> None:
                     '[sampling]\nrate_hz = 125.0\nhold = "average"\n')
     found = tune_runs(runs, rig)
     grids = {float(value) for entry, value, _ in found.tried if entry == "[sampling] rate_hz"}
-    assert grids == {25.0, 62.5, 250.0}
+    assert grids == {31.25, 62.5, 250.0}
     chosen = with_choices(rig, found.choices)
     assert chosen.sampling.rate_hz == 250.0 and chosen.timing.control_period_s == pytest.approx(0.002)
 
