@@ -154,8 +154,7 @@ class Collocation:
         of 100 Hz 0.3 %, and all inertias come out smaller by as much. The Gauss points stand for integral and first
         moment, here those of the cubic with the spline's slopes at both samples.
         """
-        curved = curves(self.hold)
-        if not curved:
+        if not curves(self.hold):
             return None
         parts, late = [], lag(self.hold) + self.late
         for part in np.split(u, ends[:-1]):

@@ -24,6 +24,16 @@ from tests.support.timed_leg import Timing, record
 LEG_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\n'
 
 
+def timed_runs(folder: Path, seed: int, timing: Timing, rate_hz: float) -> tuple[list[Path], str]:
+    """Four runs of a random leg, and a rig file of it with half their rate and a hold that is not theirs."""
+    rng = np.random.default_rng(seed)
+    leg, runs = random_leg(rng), [folder / f"{name}.csv" for name in "abcd"]
+    for file in runs:
+        write_csv(record(leg, rng, timing, seconds=6.0, name=file.stem), file)
+    return runs, (f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
+                  f'[sampling]\nrate_hz = {rate_hz}\nhold = "average"\n')
+
+
 def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], tmp_path)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
@@ -74,13 +84,9 @@ def test_a_parameter_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_rate_hold_and_delay_are_found_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A controller that holds its torque from 3 ms after its stamp on; the rig file has half the rate, another hold."""
-    rng = np.random.default_rng(1)
-    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
-    for file in runs:
-        write_csv(record(leg, rng, Timing(200.0, delay_s=0.003), seconds=6.0, name=file.stem), file)
+    runs, text = timed_runs(tmp_path, 1, Timing(200.0, delay_s=0.003), 100.0)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
-    rig.write_text(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
-                   '[sampling]\nrate_hz = 100.0\nhold = "average"\n')
+    rig.write_text(text)
     assert main(["tune", *map(str, runs), "--rig", str(rig), "--json", str(out), "--write"]) == 0
     printed, found = capsys.readouterr().out, json.loads(out.read_text())
     assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in printed
@@ -95,12 +101,8 @@ def test_rate_hold_and_delay_are_found_together(tmp_path: Path, capsys: pytest.C
 
 def test_a_hold_that_needs_no_delay_is_tried_on_each_grid(tmp_path: Path) -> None:
     """A controller of 200 Hz logged at 100: with the rig file's hold alone both grids predict alike badly."""
-    rng = np.random.default_rng(2)
-    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
-    for file in runs:
-        write_csv(record(leg, rng, Timing(200.0, 2), seconds=6.0, name=file.stem), file)
-    rig = parse_rig(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
-                    '[sampling]\nrate_hz = 50.0\nhold = "average"\n')
+    runs, text = timed_runs(tmp_path, 2, Timing(200.0, 2), 50.0)
+    rig = parse_rig(text)
     found = tune_runs(runs, rig)
     chosen = with_choices(rig, found.choices)
     assert chosen.sampling.rate_hz == 100.0 and chosen.sampling.hold == "auto"
@@ -109,12 +111,8 @@ def test_a_hold_that_needs_no_delay_is_tried_on_each_grid(tmp_path: Path) -> Non
 
 def test_grids_have_whole_parts_of_the_record_s_rate(tmp_path: Path) -> None:
     """At 200 of 250 samples a second each reading lies between two, and the record's own grid seemed the worse one."""
-    rng = np.random.default_rng(3)
-    leg, runs = random_leg(rng), [tmp_path / f"{name}.csv" for name in "abcd"]
-    for file in runs:
-        write_csv(record(leg, rng, Timing(500.0, 2), seconds=6.0, name=file.stem), file)
-    rig = parse_rig(f"{LEG_RIG}lever_arm_m = {leg.lever}\n[noise]\nencoder_rad = 1.1e-4\n[filter]\ncutoff_hz = 5.0\n"
-                    '[sampling]\nrate_hz = 125.0\nhold = "average"\n')
+    runs, text = timed_runs(tmp_path, 3, Timing(500.0, 2), 125.0)
+    rig = parse_rig(text)
     found = tune_runs(runs, rig)
     grids = {float(value) for entry, value, _ in found.tried if entry == "[sampling] rate_hz"}
     assert grids == {31.25, 62.5, 250.0}
