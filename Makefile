@@ -13,7 +13,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
+.PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
 	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
 	lock sbom docs clean
 
@@ -32,18 +32,32 @@ install: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/legid demo --out $(OUT)
 
-lint: $(STAMP)
+lint: ruff types style
+
+ruff: $(STAMP)
 	$(BIN)/ruff check .
+
+types: $(STAMP)
 	$(BIN)/mypy
+
+# Size of the code, layout, words of code and pages.
+style: $(STAMP)
+	$(BIN)/python -m tests.style
 
 # Other people's drivers, held against ours. Where one of them does not install, its tests are skipped.
 $(THEIRS): $(STAMP) requirements-counterparts.lock
 	$(LOCKED) requirements-counterparts.lock || echo "without other people's drivers: their tests are skipped"
 	touch $@
 
-# The numerics first with another BLAS kernel: no test hangs on how a sum is rounded.
-test: $(STAMP) $(THEIRS) lint
+# Style, types and tests side by side. The tests themselves: `make fast`.
+test: $(STAMP) $(THEIRS)
+	$(MAKE) --jobs --output-sync=line lint kernel fast
+
+# The numerics with another BLAS kernel: no test hangs on how a sum is rounded.
+kernel: $(STAMP)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.tools.other_kernel
+
+fast: $(STAMP) $(THEIRS)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not study" tests
 
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills

@@ -1,12 +1,9 @@
-"""The house: imports go down its floors and rooms, past no face, in no circle, and no room is too long to read."""
+"""The house: imports go down its floors and rooms, past no face, in no circle, and no file is too long to read."""
 
 import ast
-import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-
-import pytest
 
 from tests.support.paths import ROOT
 
@@ -36,7 +33,7 @@ ROOMS = {
 LEVELS = 10
 """Most storeys that the rooms of one floor may stand above each other."""
 LINES, TOO_LONG = 400, 500
-"""Beyond the first a file is due to be split by meaning, which the test warns of; beyond the second it is refused."""
+"""Beyond the first a file is due to be split by meaning, which `make lint` says; beyond the second it is refused."""
 CLI = "experiments.cli"
 """The commands stand above `legid`, whose verbs they call."""
 OF_DAQ = {"Dataset", "FloatArray", "Loop"}
@@ -60,9 +57,8 @@ def imports(module: str) -> frozenset[tuple[str, str]]:
         if isinstance(node, ast.Import):
             found |= {(alias.name, "") for alias in node.names if alias.name.split(".")[0] in FLOORS}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{module}: relative import"
-            source = node.module or ""
-            if source.split(".")[0] in FLOORS:
+            source = "." * node.level + (node.module or "")
+            if node.level or source.split(".")[0] in FLOORS:
                 found |= {(source, alias.name) for alias in node.names}
     return frozenset(found)
 
@@ -107,22 +103,28 @@ def room_of(module: str) -> str:
     return ".".join(module.split(".")[:2])
 
 
-def storeys(graph: dict[str, set[str]]) -> dict[str, int]:
-    """How high each stands above what it needs. Raises AssertionError naming a circle."""
+def storeys(graph: dict[str, set[str]]) -> dict[str, int] | str:
+    """How high each stands above what it needs; where there is a circle, the circle."""
     height: dict[str, int] = {}
 
-    def climb(name: str, path: tuple[str, ...]) -> int:
-        assert name not in path, f"a circle: {' -> '.join([*path[path.index(name):], name])}"
+    def climb(name: str, path: tuple[str, ...]) -> None:
+        if name in path:
+            raise RecursionError(" -> ".join([*path[path.index(name):], name]))
         if name not in height:
-            height[name] = 1 + max((climb(below, (*path, name)) for below in graph[name]), default=0)
-        return height[name]
+            for below in graph[name]:
+                climb(below, (*path, name))
+            height[name] = 1 + max((height[below] for below in graph[name]), default=0)
 
-    for name in graph:
-        climb(name, ())
+    try:
+        for name in graph:
+            climb(name, ())
+    except RecursionError as error:
+        return str(error)
     return height
 
 
 def past_faces(module: str) -> Iterator[str]:
+    """Names that a module takes from inside another package, or that a face does not offer."""
     own = package_of(module)
     for source, name in imports(module):
         if source in PACKAGES:
@@ -131,75 +133,67 @@ def past_faces(module: str) -> Iterator[str]:
                 yield f"{source} does not offer {name}"
             continue
         behind = package_of(source)
-        beside = behind in FLOORS and not face(behind)  # a floor without a face: what stands beside its rooms
+        beside = behind in FLOORS and not face(behind)  # a floor without a face: what stands next to its rooms
         if own != behind and not own.startswith(f"{behind}.") and not beside:
             yield f"{source} is inside {behind}: take {name} from {behind}"
 
 
-@pytest.mark.parametrize("module", sorted(MODULES))
-def test_imports_go_down_the_floors_and_past_no_face(module: str) -> None:
+def climbs(module: str) -> Iterator[str]:
+    """Imports of a module from a floor above its own."""
     floor = module.split(".")[0]
     for source, name in imports(module):
         top = source.split(".")[0]
         allowed = top in FLOORS[floor] or (floor == "estimator" and source == "daq" and name in OF_DAQ)
         allowed |= top == "legid" and module.startswith(f"{CLI}.")
-        assert not (floor == "legid" and source.startswith(CLI)), f"{module} imports {source}"
-        assert allowed, f"{module} imports {source}.{name}"
-    assert not list(past_faces(module)), module
+        if not allowed or (floor == "legid" and source.startswith(CLI)):
+            yield f"imports {source}.{name}"
 
 
-@pytest.mark.parametrize("floor", sorted(ROOMS))
-def test_rooms_stand_in_their_order(floor: str) -> None:
+def rooms_out_of_order(floor: str) -> Iterator[str]:
+    """Rooms of a floor that ROOMS does not know, need one above them, or stand too high."""
     height = {f"{floor}.{room}": i for i, row in enumerate(ROOMS[floor]) for room in row}
     inside = [m for m in MODULES if m.split(".")[0] == floor and m != floor]
-    assert {room_of(m) for m in inside} == set(height), "ROOMS and the folder differ"
-    for module in inside:
-        for below in needs(module):
-            if below.split(".")[0] == floor:
-                assert height[room_of(below)] <= height[room_of(module)], f"{module} -> {below}"
-
-
-@pytest.mark.parametrize("floor", sorted(ROOMS))
-def test_rooms_make_no_circle_and_few_storeys(floor: str) -> None:
+    different = {room_of(m) for m in inside} ^ set(height)
+    if different:
+        yield f"ROOMS and the folder differ: {', '.join(sorted(different))}"
+        return
     rooms: dict[str, set[str]] = {}
-    for module in MODULES:
-        if module.split(".")[0] == floor and module != floor:
-            own = room_of(module)
-            rooms.setdefault(own, set()).update(
-                room_of(m) for m in needs(module) if m.split(".")[0] == floor and room_of(m) != own)
-    assert max(storeys(rooms).values()) <= LEVELS
+    for module in inside:
+        below = {room_of(m) for m in needs(module) if m.split(".")[0] == floor} - {room_of(module)}
+        rooms.setdefault(room_of(module), set()).update(below)
+        for room in sorted(below):
+            if height[room] > height[room_of(module)]:
+                yield f"{module} -> {room}"
+    high = storeys(rooms)
+    if isinstance(high, str):
+        yield f"a circle of rooms: {high}"
+    elif max(high.values()) > LEVELS:
+        yield f"{max(high.values())} storeys of rooms; {LEVELS} are allowed"
 
 
-def test_no_circle_of_modules() -> None:
-    storeys({module: set(needs(module)) & MODULES.keys() for module in MODULES})
+def borrowed(path: Path) -> Iterator[str]:
+    """Names that a test takes from another test's module."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
+            names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+            if any(part.startswith("test_") for name in names for part in name.split(".")):
+                yield f"takes {names[-1]} from another test; put it into tests/support"
 
 
-@pytest.mark.parametrize("path", [*FILES, *sorted((ROOT / "tests").rglob("*.py"))],
-                         ids=lambda p: str(p.relative_to(ROOT)))
-def test_no_file_is_too_long(path: Path) -> None:
-    lines = len(path.read_text().splitlines())
-    assert lines <= TOO_LONG
-    if lines > LINES:
-        warnings.warn(f"{path.relative_to(ROOT)} has {lines} lines: split it by meaning", stacklevel=1)
-
-
-def test_every_floor_was_read() -> None:
-    assert {p.relative_to(ROOT).parts[0] for p in FILES} == set(FLOORS)
-
-
-def test_a_circle_and_a_look_past_a_face_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(AssertionError, match="a circle: a -> b -> a"):
-        storeys({"a": {"b"}, "b": {"a"}})
-    monkeypatch.setitem(globals(), "imports", lambda module: {("estimator.fitting.mle", "fit_mle")})
-    assert list(past_faces("legid.api")) == [
-        "estimator.fitting.mle is inside estimator.fitting: take fit_mle from estimator.fitting"]
-    assert not list(past_faces("estimator.fitting.fit"))
-
-
-def test_tests_take_nothing_from_each_other_but_by_support() -> None:
-    """And from what they test: the bench, the blind test, the studies."""
-    for path in (ROOT / "tests").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
-                names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
-                assert not any(part.startswith("test_") for name in names for part in name.split(".")), path
+def problems() -> Iterator[str]:
+    """Every line that `make lint` prints about the layout; those that begin with `warning` refuse nothing."""
+    for module in sorted(MODULES):
+        for said in (*climbs(module), *past_faces(module)):
+            yield f"{MODULES[module].relative_to(ROOT)}: {said}"
+    for floor in ROOMS:
+        yield from (f"{floor}: {said}" for said in rooms_out_of_order(floor))
+    circle = storeys({module: set(needs(module)) & MODULES.keys() for module in MODULES})
+    if isinstance(circle, str):
+        yield f"a circle of modules: {circle}"
+    for path in [*FILES, *sorted((ROOT / "tests").rglob("*.py"))]:
+        lines = len(path.read_text().splitlines())
+        if lines > LINES:
+            kind = "" if lines > TOO_LONG else "warning: "
+            yield f"{kind}{path.relative_to(ROOT)}: {lines} lines; split it by meaning"
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        yield from (f"{path.relative_to(ROOT)}: {said}" for said in borrowed(path))

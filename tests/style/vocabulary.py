@@ -2,7 +2,7 @@
 
 import re
 
-import pytest
+import readability
 
 WORDS = {
     r"beside": "together with, in addition to, next to",
@@ -57,7 +57,6 @@ def lix(texts: list[str]) -> float:
 
     Words a sentence plus the percentage of words with more than six letters: 30 is easy, 40 a newspaper, 50 hard.
     """
-    readability = pytest.importorskip("readability")
     words = [re.findall(r"[A-Za-z][A-Za-z'-]*", text.replace("`CODE`", "it")) for text in texts]
     lines = [" ".join(sentence) for sentence in words if len(sentence) > 2]  # shorter ones are items and labels
     return float(readability.getmeasures(lines, lang="en")["readability grades"]["LIX"])

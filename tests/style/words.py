@@ -10,10 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
+from tests.style.vocabulary import IN_ESTIMATOR, WORDS, compiled, lix
 from tests.support.paths import ROOT
-from tests.support.words import IN_ESTIMATOR, WORDS, compiled, lix
 
 FLOORS = ("drivers", "daq", "estimator", "experiments", "legid", "studies")
 LONGEST = 30
@@ -54,9 +52,9 @@ def text_of(node: ast.expr) -> str | None:
     return None
 
 
-def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.Expr]]:
+def docstrings(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST, ast.Expr]]:
     """What is documented, with its docstring: modules, classes, functions, constants, fields."""
-    for node in ast.walk(tree):
+    for node in nodes:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             for owner, one in zip([node, *body], body):
@@ -65,9 +63,9 @@ def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.Expr]]:
                     yield owner, one
 
 
-def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """Line and name of all classes, functions, arguments, variables and fields that a module defines."""
-    for node in ast.walk(tree):
+def names(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
+    """Line and name of all classes, functions, arguments, variables and fields among the nodes of a module."""
+    for node in nodes:
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield node.lineno, node.name
         elif isinstance(node, ast.arg):
@@ -82,22 +80,22 @@ def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
 def said_in(path: Path) -> list[Said]:
     """Everything that a person reads in a file; each name once."""
     source = path.read_text()
-    tree = ast.parse(source)
+    nodes = list(ast.walk(ast.parse(source)))
     found, used = [], set()
-    for owner, one in docstrings(tree):
+    for owner, one in docstrings(nodes):
         public = isinstance(owner, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and \
             not getattr(owner, "name", "").startswith("_")
         found.append(Said(one.lineno, "docstring", str(ast.literal_eval(one.value)), public))
         used.add(id(one.value))
-    used |= {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    for node in ast.walk(tree):
+    used |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node in nodes:
         if isinstance(node, ast.expr) and id(node) not in used:
             text = text_of(node)
             if text is not None and " " in text.strip():
                 found.append(Said(node.lineno, "message", text))
     found += [Said(token.start[0], "comment", token.string.lstrip("# "))
               for token in tokenize.generate_tokens(io.StringIO(source).readline) if token.type == tokenize.COMMENT]
-    first = {name: line for line, name in sorted(names(tree), reverse=True)}
+    first = {name: line for line, name in sorted(names(nodes), reverse=True)}
     return sorted([*found, Said(1, "name", path.stem), *(Said(line, "name", name) for name, line in first.items())])
 
 
@@ -137,49 +135,31 @@ def problems_of(path: Path) -> list[str]:
     return [line for one in said_in(path) for line in complaints(name, one)]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_a_file_speaks_plainly(path: Path) -> None:
-    found = problems_of(path)
-    assert not found, "\n".join(found)
+def unused_phrases() -> Iterator[str]:
+    """Phrases that ALLOWED has although no file has them, or although nothing refuses them."""
+    for where, phrase, _ in ALLOWED:
+        if not any(phrase in " ".join(one.text.split()) for path in FILES
+                   if fnmatch(str(path.relative_to(ROOT)), where) for one in said_in(path)):
+            yield f"{where} has no {phrase!r}: take it from ALLOWED"
+        if not any(pattern.search(phrase) for pattern, _ in [*EVERYWHERE, *ESTIMATOR_ONLY]):
+            yield f"nothing refuses {phrase!r}: take it from ALLOWED"
 
 
-def test_messages_read_easily() -> None:
-    assert lix([sentence for path in FILES for one in said_in(path) if one.kind == "message"
-                for sentence in re.split(SENTENCES, one.text)]) < MOST_LIX
-
-
-def test_programs_that_write_the_evidence_speak_plainly() -> None:
-    """Their messages, which are the words of pages; models of MuJoCo are not."""
-    programs = [path for path in (ROOT / "tests/evidence").rglob("*.py") if not path.name.startswith("test_")]
-    found = [line for path in programs for one in said_in(path)
-             if one.kind == "message" and not one.text.lstrip().startswith("<")
-             for line in complaints(str(path.relative_to(ROOT)), one)]
-    assert programs and not found, "\n".join(found)
-
-
-def test_names_in_the_tests_of_the_packages_are_plain() -> None:
-    found = [line for floor in FLOORS for path in sorted((ROOT / "tests" / floor).rglob("*.py"))
-             for one in said_in(path) if one.kind == "name"
-             for line in complaints(str(path.relative_to(ROOT / "tests")), one)]
-    assert not found, "\n".join(found)
-
-
-def test_every_allowed_phrase_is_still_there() -> None:
-    """And each of them would be refused if it were not allowed."""
-    for where, phrase, reason in ALLOWED:
-        assert reason and any(phrase in " ".join(one.text.split()) for path in FILES
-                              if fnmatch(str(path.relative_to(ROOT)), where) for one in said_in(path)), (where, phrase)
-        assert any(pattern.search(phrase) for pattern, _ in [*EVERYWHERE, *ESTIMATOR_ONLY]), phrase
-
-
-def test_faults_would_be_seen(tmp_path: Path) -> None:
-    path = tmp_path / "kept_back.py"
-    many = "word " * 31
-    path.write_text(f'"""Of no end"""\nLOUD = f"what is {{1}} left over {{2}}"  # it strays\n'
-                    f'def settle(doubts: int) -> str:\n    """Returns {many}."""\n    return "{many}"\n')
-    found = [re.split(r" \(say|: ", line.split(": ", 1)[1])[0]
-             for one in said_in(path) for line in complaints("estimator/x.py", one)]
-    assert found == ["docstring has no first sentence", "docstring does not begin with what comes back",
-                     "name 'kept_back'", "comment 'strays'", "message 'left over'",
-                     "name 'LOUD'", "name 'doubts'", "name 'settle'", "docstring has a first sentence of 32 words",
-                     "message has a sentence of 31 words"]
+def problems() -> Iterator[str]:
+    """Every line that `make lint` prints about words."""
+    for path in FILES:
+        yield from problems_of(path)
+    hard = lix([sentence for path in FILES for one in said_in(path) if one.kind == "message"
+                for sentence in re.split(SENTENCES, one.text)])
+    if hard >= MOST_LIX:
+        yield f"messages: LIX {hard:.1f}; at most {MOST_LIX:g} are allowed"
+    for path in sorted((ROOT / "tests/evidence").rglob("*.py")):
+        if not path.name.startswith("test_"):  # their messages are the words of pages; models of MuJoCo are not
+            yield from (line for one in said_in(path)
+                        if one.kind == "message" and not one.text.lstrip().startswith("<")
+                        for line in complaints(str(path.relative_to(ROOT)), one))
+    for floor in FLOORS:
+        for path in sorted((ROOT / "tests" / floor).rglob("*.py")):
+            yield from (line for one in said_in(path) if one.kind == "name"
+                        for line in complaints(str(path.relative_to(ROOT / "tests")), one))
+    yield from unused_phrases()
