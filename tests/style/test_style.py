@@ -7,6 +7,7 @@ import pytest
 
 from tests.style import layout, pages, tokens, words
 from tests.style.vocabulary import IN_PAGES, WORDS, compiled, lix
+from tests.support.paths import ROOT
 
 
 def test_docstrings_comments_and_blank_space_are_no_code() -> None:
@@ -36,7 +37,7 @@ def test_a_package_that_grows_is_refused_and_one_that_shrinks_lowers_its_limit(
 
 
 def test_every_floor_is_read() -> None:
-    assert {p.relative_to(layout.ROOT).parts[0] for p in layout.FILES} == set(layout.FLOORS)
+    assert {p.relative_to(ROOT).parts[0] for p in layout.FILES} == set(layout.FLOORS)
 
 
 def test_a_circle_a_look_past_a_face_and_a_climb_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
