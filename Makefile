@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed structure servos servo-laws payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -187,15 +187,6 @@ prior: $(STAMP)
 changed: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
 
-# Hours of unchanged legs whose friction drifts, and changes of several legs: 25 minutes.
-LEGS  ?= 2
-watch: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --minutes $(or $(MINUTES),20) --legs $(LEGS) --out docs/evidence/watch.md
-
-# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
-separate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),20) --out docs/evidence/separate.md
-
 # Legs whose controller, log and drive keep times of their own: an hour.
 timing: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence timing --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6000) --out docs/evidence/timing.md
@@ -212,11 +203,6 @@ engines: $(STAMP)
 structure: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence structure --folder build/evidence/structure $(if $(RECORDS),--records $(RECORDS)) \
 		--out docs/evidence/structure.md
-
-# Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
-investigate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence investigate --minutes $(or $(MINUTES),60) \
-		--out docs/evidence/investigate.md
 
 # A change of one effect on five families of legs with small faults, 40 s a case: 45 minutes.
 changed-families: $(STAMP)

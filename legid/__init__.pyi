@@ -10,7 +10,6 @@ from .api import compare as compare
 from .api import compare_sessions as compare_sessions
 from .api import diagnose as diagnose
 from .api import fit as fit
-from .api import investigate as investigate
 from .api import load as load
 from .api import load_model as load_model
 from .api import load_rig as load_rig
@@ -21,12 +20,9 @@ from .api import record as record
 from .api import save_model as save_model
 from .api import tune as tune
 from .api import validate as validate
-from .api import watch as watch
 from .api import write_plan as write_plan
 from .changes import Change as Change
-from .changes import Investigation as Investigation
 from .changes import Sessions as Sessions
-from .changes import Watching as Watching
 from .comparisons import Comparison as Comparison
 from .diagnoses import Diagnosis as Diagnosis
 from .fits import FitResult as FitResult

@@ -16,10 +16,10 @@ done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
@@ -32,12 +32,12 @@ from estimator import FitResult as PlainFit
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
-from experiments.console import busy, command_line, work_bar
-from experiments.documents import Pair, Step
+from experiments.console import work_bar
+from experiments.documents import Pair
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
-from experiments.provenance import Source, origin_of, source_of
-from experiments.rig import ChosenRig, confirm_estop, confirm_motion
+from experiments.provenance import source_of
+from experiments.rig import ChosenRig
 from experiments.session import load_runs, prepare
 from experiments.workflows import (
     SessionPair,
@@ -55,7 +55,7 @@ from experiments.workflows import (
     validate_prepared,
     with_reference_terms,
 )
-from legid.changes import Change, Investigation, Sessions, Watching
+from legid.changes import Change, Sessions
 from legid.comparisons import Comparison
 from legid.diagnoses import Diagnosis
 from legid.fits import FitResult
@@ -80,10 +80,9 @@ if TYPE_CHECKING:
     from daq.recording import RecordReport
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
-           "Investigation", "Model", "Plan", "Recording", "Rig", "Sessions", "Tuning", "Validation", "Validations",
-           "Watching", "WorkError", "compare", "compare_sessions", "diagnose", "fit", "investigate", "load",
-           "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model", "tune",
-           "validate", "watch", "write_plan"]
+           "Model", "Plan", "Recording", "Rig", "Sessions", "Tuning", "Validation", "Validations", "WorkError",
+           "compare", "compare_sessions", "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine",
+           "read_plan", "record", "save_model", "tune", "validate", "write_plan"]
 
 multisine = random_multisine
 
@@ -217,13 +216,9 @@ def _change_since(given: tuple[PlainDataset, ...], against: Runs | ModelLike, kn
     found = find_change_since(given, earlier.model, earlier.where, known.rig) if isinstance(earlier, GivenModel) else \
         find_change(given, earlier, known.rig)
     made = Change.of(found.change, found.set_aside, files, found.datasets)
-    made.provenance = origin_from(sources_of(given), known.source, _model_in(earlier))
+    made.provenance = origin_from(sources_of(given), known.source,
+                                  earlier.source if isinstance(earlier, GivenModel) else None)
     return made
-
-
-def _model_in(earlier: tuple[PlainDataset, ...] | GivenModel) -> Source | None:
-    """File of the model among what runs are held against."""
-    return earlier.source if isinstance(earlier, GivenModel) else None
 
 
 @overload
@@ -325,68 +320,6 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
 
     report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
     return Recording(load(out, rig), report, tuple(warnings))
-
-
-def watch(runs: Runs | Iterable[PlainDataset | Path | str], against: Runs | ModelLike,
-          rig: RigLike | None = None, false_alarms: float = 0.1, damaged: bool = False,
-          told: Callable[[Watching], None] = lambda found: None) -> Watching:
-    """Every run, in the order given, tested for a change since the reference runs `against`, as `legid watch`.
-
-    `against`: earlier runs of the same rig, or a model or model file that a diagnosis of them gave. The test is
-    sequential; its threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run
-    after an alarm on a line says what changed. With a `rig`, `runs` may be files that are read one by one, and a
-    generator that waits for them; `told` is called with the result after each. Raises `InputError`, and `FitError`
-    where the reference runs give no reference.
-    """
-    from experiments.workflows import watcher_of
-
-    if not 0.0 < false_alarms <= 60.0:
-        raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
-    if rig is None or isinstance(runs, PlainDataset):
-        runs, rig = runs_and_rig(cast(Runs, runs), rig)  # which refuses a file
-    known = as_rig(rig)
-    earlier, before = earlier_of(against)
-    reference, where = (earlier.model, earlier.where) if isinstance(earlier, GivenModel) else (earlier, "")
-    with busy("learning the reference"):
-        watcher = watcher_of(reference, where, known.rig, false_alarms, damaged)
-    found = Watching.begun(watcher.test.reference.runs, false_alarms, before)
-    files: tuple[Source, ...] = ()
-    for run in runs:
-        found.watched.append(watcher.watch(run))
-        files += sources_of([run]) if isinstance(run, PlainDataset) else (source_of(run),)
-        found.provenance = origin_from(files, known.source, _model_in(earlier))
-        told(found)
-    return found
-
-
-def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emulate: str | None = None, seed: int = 1,
-                yes: bool = False, estop_at_hand: bool = False, workers: int | None = 1,
-                progress: Callable[[str, float], None] | None = None,
-                told: Callable[[Step], None] = lambda step: None) -> Investigation:
-    """Recordings and diagnoses of a rig until one cause stands, nothing material is left, or `budget_min` [min] are
-    spent, as `legid investigate`.
-
-    `rig` is a path. Everything goes into the folder `out`: runs, plans, a diagnosis a step, the model, the journal. A
-    person confirms every recording on the terminal, unless `yes`. `emulate` names an effect hidden in an emulated leg
-    instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
-    called with (stage, share done), `told` with each of the result's `steps` when it is done. Raises `InputError`, and
-    `WorkError` or a `DriverError` where nothing was recorded.
-    """
-    from experiments.workflows import Asked, investigate_rig
-
-    known, source = load_rig(rig), source_of(rig)
-
-    def confirm(what: str) -> bool:
-        confirm_estop(known, estop_at_hand)
-        return confirm_motion(what, yes)
-
-    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None),
-                  lambda step: told(Step.of(step)))
-    done = investigate_rig(rig, Path(out), 60.0 * budget_min, asked,
-                           lambda files: origin_of(files, source, seed=seed, command=command_line()))
-    made = Investigation.of(done)
-    made.provenance = origin_of([Path(out) / run for run in done.runs], source, seed=seed, command=command_line())
-    return made
 
 
 def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:

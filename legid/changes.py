@@ -1,4 +1,4 @@
-"""Results about several sessions or steps of a rig: `legid.compare` of sessions, `watch`, `investigate`."""
+"""Results about several sessions of a rig: `legid.diagnose(against=...)` and `legid.compare` of sessions."""
 
 from __future__ import annotations
 
@@ -7,26 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq import WorkError
-from experiments.documents import (
-    ChangeDocument,
-    Differing,
-    InvestigationDocument,
-    SessionsDocument,
-    WatchDocument,
-)
+from experiments.documents import ChangeDocument, Differing, SessionsDocument
 from experiments.judge import Files
-from experiments.reports import (
-    cause_table,
-    change_text,
-    investigation_text,
-    line_text,
-    sessions_text,
-    step_text,
-    watch_text,
-    write_change,
-    write_investigation,
-    write_watch,
-)
+from experiments.reports import cause_table, change_text, sessions_text, write_change
 from legid.tables import Judged, Shown, columns, frame, html_table, or_inf, paragraphs
 
 if TYPE_CHECKING:
@@ -136,84 +119,3 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
 def _html(found: Differing) -> str:
     table = cause_table(found)
     return paragraphs(found.headline.told) + (html_table(table.header, table.rows) if table.rows else "")
-
-
-class Watching(Shown, WatchDocument, kw_only=True):
-    """Runs of a rig, each tested for a change since the reference runs: `legid.watch/1`, whose keys are its fields.
-
-    `Watching.read(path)` gives one of a file.
-    """
-
-    @property
-    def alarms(self) -> tuple[str, ...]:
-        """Names of the runs with an alarm."""
-        return tuple(one.run for one in self.watched if one.alarm is not None)
-
-    def page(self, path: Path | str) -> None:
-        """Write the page of `legid watch --html`. Raises `InputError`."""
-        write_watch(path, self)
-
-    def to_frame(self) -> DataFrame:
-        """One row a run: state, motion [s], end of the block with the alarm [s], likeliest change, false alarms per
-        hour.
-
-        Raises `WorkError` without pandas.
-        """
-        return frame(columns(self.watched, "run state seconds alarm_s=alarm.end_s worst.effect worst.joint "
-                             "worst.per_hour"), "run")
-
-    def plot(self) -> Figure:
-        """The test over the runs, with its threshold."""
-        from legid.figures import watch_figure
-
-        return watch_figure(self)
-
-    def __str__(self) -> str:
-        return watch_text(self)
-
-    def _repr_html_(self) -> str:
-        return paragraphs([*self.headline.told, *map(line_text, self.watched)])
-
-
-class Investigation(Shown, InvestigationDocument, kw_only=True):
-    """Recordings and diagnoses of a rig, step by step: `legid.investigation/1`, whose keys are its fields.
-
-    `Investigation.read(path)` gives the journal of a folder.
-    """
-
-    @property
-    def verdict(self) -> str | None:
-        """Verdict of the last diagnosis; None without one."""
-        return None if self.answer is None else self.answer.verdict
-
-    def check(self) -> None:
-        """Raises `WorkError` for one that failed."""
-        if self.ending == "failed":
-            raise WorkError(self.why)
-
-    def page(self, path: Path | str) -> None:
-        """Write the journal as a page. Raises `InputError`."""
-        write_investigation(path, self)
-
-    def to_frame(self) -> DataFrame:
-        """One row a run: step, kind, plan [s], largest torque [N m], verdict after the step.
-
-        Raises `WorkError` without pandas.
-        """
-        rows = [(k, one, step.after) for k, step in enumerate(self.steps, 1) for one in step.experiments]
-        return frame(columns(rows, "1.run step=0 1.kind 1.seconds 1.peak_nm 2.verdict"), "run")
-
-    def plot(self) -> Figure:
-        """Held-out error of the nominal model and of every explanation, over the steps.
-
-        Raises `WorkError` where no step has a diagnosis.
-        """
-        from legid.figures import investigation_figure
-
-        return investigation_figure(self)
-
-    def __str__(self) -> str:
-        return "\n".join([*map(step_text, self.steps), investigation_text(self)])
-
-    def _repr_html_(self) -> str:
-        return paragraphs([*self.headline.told, *map(step_text, self.steps)])

@@ -14,18 +14,8 @@ from daq.recording import Plan
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.documents import Answer, ComparisonDocument, InvestigationDocument, TuningDocument, WatchDocument
-from experiments.reports import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    drawn_changes,
-    paint_changes,
-    paint_errors,
-    paint_watch,
-    window,
-)
+from experiments.documents import Answer, ComparisonDocument, TuningDocument
+from experiments.reports import BLUE, GREEN, GREY, ORANGE, drawn_changes, paint_changes, window
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
@@ -176,22 +166,6 @@ def change_figure(found: Answer) -> Figure:
     ax = figure.subplots()
     paint_changes(ax, some)
     ax.set_xlabel("change / smallest detectable change")
-    return figure
-
-
-def watch_figure(found: WatchDocument) -> Figure:
-    """False alarms per hour that each block of motion just reaches, over the runs."""
-    figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
-    paint_watch(figure.subplots(), found)
-    return figure
-
-
-def investigation_figure(done: InvestigationDocument) -> Figure:
-    """Held-out errors over the steps. Raises `WorkError` where no step has a diagnosis."""
-    if done.answer is None:
-        raise WorkError(done.why)
-    figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
-    paint_errors(figure.subplots(), done)
     return figure
 
 

@@ -26,6 +26,5 @@ from .mcap_run import attached_texts as attached_texts
 from .mcap_run import read_run as read_run
 from .mcap_run import recover as recover
 from .mcap_run import start_of as start_of
-from .mcap_run import started_at as started_at
 from .mcap_scan import written_by as written_by
 from .streams import Note as Note

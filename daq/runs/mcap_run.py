@@ -287,17 +287,6 @@ def attached_texts(path: Path | str) -> dict[str, str]:
     return files
 
 
-def started_at(path: Path | str) -> datetime | None:
-    """When the recording of a native run began [UTC]; None where its file does not say. Raises `InputError` like
-    `read_run`."""
-    for record in Scan(Path(path)):
-        if isinstance(record, Message):
-            break
-        if isinstance(record, Metadata) and record.name == FACTS:
-            return start_of(record.metadata)
-    return None
-
-
 def start_of(facts: Mapping[str, str]) -> datetime | None:
     """When a recording with these `facts` began [UTC]."""
     started = facts.get("started_unix_ns", "")

@@ -23,8 +23,8 @@ from experiments.console import QUIET, USUAL, VERBOSE, PlainOutput, commanded, d
 GROUPS = {
     "set up": ("init", "doctor", "calibrate", "demo", "emulate"),
     "record": ("excite", "record", "live", "info", "runs", "recover", "import_", "export"),
-    "model": ("fit", "tune", "validate", "compare", "diagnose", "investigate", "effects"),
-    "use": ("simulate", "gains", "compensate", "watch"),
+    "model": ("fit", "tune", "validate", "compare", "diagnose", "effects"),
+    "use": ("simulate", "gains", "compensate"),
     "check the program": ("verify", "casebook", "monte_carlo", "completion")}
 """Heading of `legid --help` -> modules of the folder in their order; others come last, under MORE."""
 MORE = "more"

@@ -28,10 +28,6 @@ from .document import keys_table as keys_table
 from .document import known as known
 from .fit import FitDocument as FitDocument
 from .fit import Parameter as Parameter
-from .investigation import Belief as Belief
-from .investigation import Experiment as Experiment
-from .investigation import InvestigationDocument as InvestigationDocument
-from .investigation import Step as Step
 from .known import DOCUMENTED as DOCUMENTED
 from .tuning import Entry as Entry
 from .tuning import Time as Time
@@ -45,6 +41,3 @@ from .validation import ValidationDocument as ValidationDocument
 from .validation import segment_of as segment_of
 from .walk import Walk as Walk
 from .walk import Walked as Walked
-from .watch import Block as Block
-from .watch import WatchDocument as WatchDocument
-from .watch import WatchedRun as WatchedRun

@@ -5,13 +5,11 @@ from experiments.documents.comparison import ComparisonDocument
 from experiments.documents.diagnosis import DiagnosisDocument
 from experiments.documents.document import Document
 from experiments.documents.fit import FitDocument
-from experiments.documents.investigation import InvestigationDocument
 from experiments.documents.tuning import TuningDocument
 from experiments.documents.validation import ValidationDocument
-from experiments.documents.watch import WatchDocument
 
 DOCUMENTED: dict[str, type[Document]] = {
     "fit": FitDocument, "diagnosis": DiagnosisDocument, "validation": ValidationDocument,
-    "comparison": ComparisonDocument, "change": ChangeDocument, "sessions": SessionsDocument, "watch": WatchDocument,
-    "tuning": TuningDocument, "investigation": InvestigationDocument}
+    "comparison": ComparisonDocument, "change": ChangeDocument, "sessions": SessionsDocument,
+    "tuning": TuningDocument}
 """By the name of the verb's result."""

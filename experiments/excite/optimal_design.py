@@ -165,11 +165,6 @@ class Bench:
         noise = {name: scale * level for name, level in self._levels.items() if name != "passive_joint_nm"}
         return PlanInformation(self.mechanism, self.beta, noise, rate_hz, self._has_imu)
 
-    @property
-    def noise(self) -> dict[str, float]:
-        """Noise by channel, for samples at RATE_HZ."""
-        return {name: np.sqrt(RATE_HZ / self._noise_hz) * level for name, level in self._levels.items()}
-
     def sized(self, shape: FloatArray, margin: float, largest_nm: float | None = None) -> Candidate | None:
         """The shape at RATE_HZ, of peak one, as large as the limits allow, judged; None where that cannot be."""
         moved = as_large_as_allowed(self.fine, shape, self.limits, margin, largest_nm, self.others)
@@ -179,18 +174,14 @@ class Bench:
 
 
 class Series:
-    """Odd harmonics in a band, tapered at both ends."""
+    """Odd harmonics of one over a plan's length, in its band, tapered at both ends."""
 
-    def __init__(self, band: Band, most: float = np.inf) -> None:
-        """Of one over the plan's length, or over such a part of it that the band holds at most `most` of them.
-
-        Raises `InputError` where it holds fewer than three."""
-        width_hz = max(band.high_hz - band.low_hz, 0.0)
-        period_s = band.seconds if width_hz * band.seconds <= 2.0 * most else 2.0 * most / width_hz
-        odd = np.arange(1, int(band.high_hz * period_s + 1e-9) + 1, 2) / period_s
+    def __init__(self, band: Band) -> None:
+        """Raises `InputError` where the band holds fewer than three."""
+        odd = np.arange(1, int(band.high_hz * band.seconds + 1e-9) + 1, 2) / band.seconds
         self.hz = odd[odd >= band.low_hz]
         if self.hz.size < 3:
-            raise InputError("--high", f"leaves {self.hz.size} odd harmonics of 1/{period_s:.3g} s",
+            raise InputError("--high", f"leaves {self.hz.size} odd harmonics of 1/{band.seconds:.3g} s",
                              "raise it, or make the plan longer")
         self.band = band
 

@@ -154,14 +154,14 @@ def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs:
             peak = float(np.abs(torque).max())
             candidate = bench.sized(torque / peak, search.margin, KINDS[kind].share * peak)
         else:
-            candidate = shaped(bench, kind, time_s, search, i)
+            candidate = _shaped(bench, kind, time_s, search, i)
         if candidate is None:
             raise WorkError(f"no plan of the kind {kind!r} keeps the limits; widen [limits]")
         plans.append(SessionPlan(f"{i + 1:02d}-{kind}.csv", kind, candidate))
     return PlannedSession(tuple(plans), designs[0], choice)
 
 
-def shaped(bench: Bench, kind: PlanKind, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
+def _shaped(bench: Bench, kind: PlanKind, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
     """A plan of a kind that no optimiser designs, as large as the limits allow; None where no size keeps them."""
     shape = KINDS[kind].shape
     assert shape is not None

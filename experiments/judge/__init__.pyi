@@ -28,10 +28,6 @@ from .headline import Headline as Headline
 from .headline import Level as Level
 from .headline import answer_words as answer_words
 from .headline import verdict_title as verdict_title
-from .investigation import Ending as Ending
-from .investigation import Experiment as Experiment
-from .investigation import Investigation as Investigation
-from .investigation import Step as Step
 from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files
 from .next_steps import next_of_change as next_of_change

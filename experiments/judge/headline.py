@@ -43,9 +43,9 @@ class Headline:
                 *([f"Next step: {self.action}"] if self.action else [])]
 
 
-def verdict_title(verdict: Verdict | None) -> str:
-    """The verdict of a diagnosis as a title; None is none."""
-    words = "no diagnosis" if verdict is None else VERDICTS[verdict][1]
+def verdict_title(verdict: Verdict) -> str:
+    """The verdict of a diagnosis as a title."""
+    words = VERDICTS[verdict][1]
     return f"{words[:1].upper()}{words[1:]}"
 
 

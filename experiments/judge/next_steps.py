@@ -11,6 +11,8 @@ from estimator.change import Change, Kind
 from estimator.diagnosis import Diagnosis, Remainder
 
 SESSION = "legid excite --rig RIG --model MODEL.json --session NEXT"
+APART = ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --next DIAGNOSIS.json "
+         "--session NEXT")
 RECORD = {
     "session": ("the time since the start", "Record the same plan cold and warm, in the order of recording", SESSION),
     "time": ("the time within a run", "Record the same plan cold and warm, in the order of recording", SESSION),
@@ -75,8 +77,7 @@ def next_step(found: Diagnosis) -> str:
         return ("Validate the extended model on new runs: legid diagnose RUN... --rig RIG --model-out MODEL.json, then "
                 "legid validate MODEL.json NEW_RUN... --rig RIG")
     if found.verdict == "one_of" or found.remainder is None:
-        return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --next DIAGNOSIS.json "
-                "--session NEXT" if found.causes else
+        return (APART if found.causes else
                 f"Record slow motion, fast motion, holds and free swings as separate runs: {SESSION}")
     return _of_remainder(found.remainder)
 
@@ -109,6 +110,5 @@ def next_of_change(found: Change) -> str:
     if found.verdict == "changed_unexplained":
         return "Diagnose the new runs without the reference: legid diagnose RUN... --rig RIG --html PAGE"
     if found.verdict == "one_of":
-        return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --separate "
-                "DIAGNOSIS.json --out PLAN")
+        return APART
     return ACTIONS[found.causes[0].kind]

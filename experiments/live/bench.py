@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import stat
-import time
 from collections.abc import Coroutine, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,12 +15,9 @@ from daq.recording import read_plan
 from experiments.live.jobs import Job, Kind, past_jobs
 from experiments.live.quality import Quality, look_at
 from experiments.live.session import Session
-from experiments.live.watch_chart import Mark, read_marks
 
 JOBS_KEPT = 20
 RUNS_SHOWN = 40
-WATCH_EVERY_S = 5.0
-"""How often a new document of `legid watch` is looked for."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +43,6 @@ class Bench:
         self.jobs: list[Job] = past_jobs(file.path, out)[:JOBS_KEPT]
         self.quality: dict[Path, Quality] = {}
         """What is known of runs by now; `look_at_runs` finds out."""
-        self.marks: tuple[Mark, ...] = ()
-        """What `legid watch` says of runs, as of the last look."""
-        self._marks_looked_s = -WATCH_EVERY_S
         self._looking: asyncio.Task[None] | None = None
         self._plans_folder = plans
         self._plans = self._scan()
@@ -93,16 +86,6 @@ class Bench:
         fresh = [path for path in self.runs() if path not in self.quality]
         if fresh:
             self._looking = self._keep(self._look(fresh))
-
-    def look_for_marks(self) -> None:
-        """Read the documents of `legid watch` again, off the event loop, if it is time; not during a recording."""
-        now = time.monotonic()
-        if not self.session.running and now - self._marks_looked_s >= WATCH_EVERY_S:
-            self._marks_looked_s = now
-            self._keep(self._read_marks())
-
-    async def _read_marks(self) -> None:
-        self.marks = await asyncio.to_thread(read_marks, self.out)
 
     def stop_looking(self) -> None:
         """Stop reading runs before a recording, which needs the whole machine. The rest is read later."""

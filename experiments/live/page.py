@@ -16,7 +16,6 @@ from experiments.live.jobs import Job
 from experiments.live.quality import Quality
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase
-from experiments.live.watch_chart import Mark, anchor, draw_marks, explain_marks
 from experiments.reports import whole_options
 
 SHOW_EVERY_S = 0.22
@@ -45,7 +44,6 @@ class Page:
         self._checked: dict[Path, bool] = {}
         self._judged = 0
         self._listed: list[tuple[Path, Quality | None]] = []
-        self._marks: tuple[Mark, ...] = ()
         self._touched: set[Path] = set()
         """Runs that somebody has chosen or left out by hand."""
 
@@ -56,7 +54,7 @@ class Page:
         ui.add_body_html(f"{ESTOP}<script>{(here / 'page.js').read_text(encoding='utf-8')}</script>")
         self._top()
         with ui.element("main").classes("live-grid"):
-            for parts in ((self._experiment, self._devices, self._limits), (self._plots, self._watch, self._analysis)):
+            for parts in ((self._experiment, self._devices, self._limits), (self._plots, self._analysis)):
                 with ui.element("div").classes("live-column"):
                     for part in parts:
                         self._attempt(part.__name__.strip("_"), part)
@@ -121,13 +119,6 @@ class Page:
                     _html(f"<h3>{chart.title}</h3>")
                     ui.echart(options(chart))
 
-    def _watch(self) -> None:
-        self._watch_card = _card("Watch over the weeks", "late")
-        with self._watch_card:
-            self._watch_chart = _html("")
-            self._watch_words = ui.label().classes("soft")
-        self._watch_card.set_visibility(False)
-
     def _analysis(self) -> None:
         with _card("Runs and what they say", "late"):
             with ui.element("div").classes("live-runs") as self._runs_box:
@@ -153,8 +144,7 @@ class Page:
         """What stops and releases first."""
         self._client.run_javascript(f"legid.control({msgspec.json.encode(self._session.control).decode()})")
         for name, part in (("buttons", self._enable_buttons), ("readings", self._show),
-                           ("list of runs", self._follow_runs), ("chart over the weeks", self._follow_watch),
-                           ("list of jobs", self._draw_jobs)):
+                           ("list of runs", self._follow_runs), ("list of jobs", self._draw_jobs)):
             self._attempt(name, part)
 
     def _attempt(self, name: str, draw: Callable[[], None]) -> None:
@@ -190,18 +180,6 @@ class Page:
         if len(self._bench.quality) != self._judged:
             self._judged = len(self._bench.quality)
             self._draw_runs()
-
-    def _follow_watch(self) -> None:
-        self._bench.look_for_marks()
-        if self._bench.marks != self._marks:
-            self._marks = self._bench.marks
-            self._draw_watch()
-
-    def _draw_watch(self) -> None:
-        self._watch_card.set_visibility(bool(self._marks))
-        if self._marks:
-            self._watch_chart.set_content(draw_marks(self._marks))
-            self._watch_words.set_text(explain_marks(self._marks))
 
     def _enable_buttons(self) -> None:
         """By what is in memory alone."""
@@ -250,7 +228,7 @@ class Page:
                 ui.checkbox(f"{path.name}{note}", value=self._checked[path],
                             on_change=lambda e, p=path: self._check(p, e.value))
                 look, words = _judgement(quality)
-                _html(f'<div class="quality {look}" id="{html.escape(anchor(path.name))}">{html.escape(words)}</div>')
+                _html(f'<div class="quality {look}">{html.escape(words)}</div>')
         self._listed = listed
 
     def _check(self, path: Path, chosen: bool) -> None:

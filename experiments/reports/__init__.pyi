@@ -47,10 +47,6 @@ from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict
-from .investigation import investigation_text as investigation_text
-from .investigation import paint_errors as paint_errors
-from .investigation import step_text as step_text
-from .investigation import write_investigation as write_investigation
 from .markdown import write_markdown as write_markdown
 from .origin import Source as Source
 from .origin import model_with_origin as model_with_origin
@@ -75,9 +71,3 @@ from .validation import validation_section as validation_section
 from .validation import validation_text as validation_text
 from .validation import whole_validation_text as whole_validation_text
 from .validation import write_validation as write_validation
-from .watch import WATCH_SCHEMA as WATCH_SCHEMA
-from .watch import line_text as line_text
-from .watch import paint_watch as paint_watch
-from .watch import watch_summary as watch_summary
-from .watch import watch_text as watch_text
-from .watch import write_watch as write_watch

@@ -21,7 +21,6 @@ from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.judge import BOUND_S, clock_bound_s
 from experiments.reports.run_info import lost_frames, readings_of, recorded_readings
-from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
 KINDS = (".mcap", *SUFFIXES)
 MOST_HEADER = 1 << 16
@@ -44,22 +43,6 @@ class _Diagnosis(Struct):
     verdict: str
     causes: tuple[_Cause, ...] = ()
     runs: dict[str, tuple[str, ...]] = {}
-
-
-class _Any(Struct):
-    schema: str
-
-
-class _Tested(Struct):
-    run: str
-    state: str
-
-
-class _Watch(Struct):
-    """What is read of a watch JSON."""
-
-    schema: str
-    watched: tuple[_Tested, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,8 +70,6 @@ class RunLine:
     """`effect@joint` of that verdict."""
     diagnosis: str | None = None
     """File of that verdict."""
-    watch: str | None = None
-    """State by the newest `legid watch` JSON in its folder: ok, alarm, changed or not tested."""
     follows: str = ""
     """Commands that its joints follow, where it has no torque of them."""
 
@@ -154,12 +135,8 @@ def runs_text(lines: Sequence[RunLine]) -> str:
                                      "faulty readings" * bool(line.readings),
                                      f"follows {line.follows}" if line.follows else ""]))]
             for line in lines]
-    header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
-              "remark"]
-    if any(line.watch for line in lines):
-        header.append("watch")
-        rows = [[*row, line.watch or "-"] for row, line in zip(rows, lines)]
-    return text_table(header, rows, right={2, 4, 5, 6, 7})
+    return text_table(["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
+                       "remark"], rows, right={2, 4, 5, 6, 7})
 
 
 def runs_document(lines: Sequence[RunLine]) -> dict[str, Any]:
@@ -233,32 +210,24 @@ def _ended(raw: RawRun) -> str:
     return f"damaged: {'; '.join(map(str, raw.damage))}" if raw.damage else ""
 
 
-def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
-    """JSONs of diagnoses and watches below the folder, newest first."""
-    found: list[tuple[float, Path, _Diagnosis | _Watch]] = []
+def _documents(folder: Path) -> list[tuple[Path, _Diagnosis]]:
+    """JSONs of diagnoses below the folder, newest first."""
+    found: list[tuple[float, Path, _Diagnosis]] = []
     for path in folder.rglob("*.json"):
         try:
-            data = read_bytes(path, MOST_BYTES)
-            schema = msgspec.json.decode(data, type=_Any).schema
-            document = msgspec.json.decode(data, type=_Watch) if schema == WATCH else \
-                msgspec.json.decode(data, type=_Diagnosis)
+            document = msgspec.json.decode(read_bytes(path, MOST_BYTES), type=_Diagnosis)
         except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
-        if schema in ("legid.diagnosis/1", WATCH):
+        if document.schema == "legid.diagnosis/1":
             found.append((path.stat().st_mtime, path, document))
     return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
 
 
-def _with_verdict(line: RunLine, path: Path, documents: Sequence[tuple[Path, _Diagnosis | _Watch]]) -> RunLine:
-    """`line` with what the newest diagnosis and watch in the run's own folder say of it: another folder's run of that
-    name is another."""
-    for where, document in reversed(documents):
-        if where.parent != path.parent:
-            continue
-        if isinstance(document, _Watch):
-            states = {one.run: one.state for one in document.watched}
-            line = replace(line, watch=states.get(path.name, line.watch))
-        elif any(path.name in group for group in document.runs.values()):
+def _with_verdict(line: RunLine, path: Path, documents: Sequence[tuple[Path, _Diagnosis]]) -> RunLine:
+    """`line` with what the newest diagnosis in the run's own folder says of it: another folder's run of that name is
+    another."""
+    for where, document in documents:
+        if where.parent == path.parent and any(path.name in group for group in document.runs.values()):
             causes = tuple(c.effect if c.joint is None else f"{c.effect}@{c.joint}" for c in document.causes)
-            line = replace(line, verdict=document.verdict, causes=causes, diagnosis=where.name)
+            return replace(line, verdict=document.verdict, causes=causes, diagnosis=where.name)
     return line

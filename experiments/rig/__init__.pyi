@@ -9,9 +9,7 @@ from .devices import open_sensors as open_sensors
 from .devices import wiring as wiring
 from .discovery import probe as probe
 from .estop import FLAG as FLAG
-from .estop import MOVES as MOVES
 from .estop import confirm_estop as confirm_estop
-from .estop import confirm_motion as confirm_motion
 from .questions import ask_facts as ask_facts
 from .robot_file import prior_table as prior_table
 from .run_file import facts_of_run as facts_of_run

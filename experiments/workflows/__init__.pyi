@@ -35,8 +35,6 @@ from .in_mujoco import compared_text as compared_text
 from .in_mujoco import reduction_errors as reduction_errors
 from .in_mujoco import starts_of as starts_of
 from .in_mujoco import validate_in_mujoco as validate_in_mujoco
-from .investigate import Asked as Asked
-from .investigate import investigate_rig as investigate_rig
 from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
 from .robot import RobotReport as RobotReport
@@ -52,6 +50,3 @@ from .validate import predict_setup as predict_setup
 from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared
-from .watch import Watcher as Watcher
-from .watch import arrivals as arrivals
-from .watch import watcher_of as watcher_of

@@ -20,6 +20,7 @@ from daq import InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from experiments.documents import finite
 from experiments.emulation import EFFECTS, Hidden, record_emulated
+from experiments.emulation.plant import HiddenTorque, Motion
 from experiments.excite import random_multisine
 from experiments.workflows import find_change
 from studies import machine
@@ -32,7 +33,6 @@ from tests.evidence.blind.servo import RUNS as BOTH
 from tests.evidence.blind.servo import write_case
 from tests.evidence.blind.several_faults import TEN, together
 from tests.evidence.emulated_legs import leg_of, rig_in
-from tests.evidence.investigate import scaled
 from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
@@ -137,9 +137,26 @@ def emulated_runs(name: str, strength: float, rng: np.random.Generator, folder: 
     return files
 
 
+def _scaled(hidden: Hidden, factor: float) -> Hidden:
+    """The effect with `factor` times its size."""
+    def times(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+        return tuple(factor * one for one in value) if isinstance(value, tuple) else factor * value
+
+    def torque(own: HiddenTorque) -> HiddenTorque:
+        def larger(time_s: float, motion: Motion, applied: float) -> tuple[float, float]:
+            hip, knee = own(time_s, motion, applied)
+            return factor * hip, factor * knee
+        return larger
+
+    return replace(hidden, body=tuple((name, value if name == "stribeck_radps" else times(value))
+                                      for name, value in hidden.body),
+                   torques=tuple(map(torque, hidden.torques)), torque_offset_nm=factor * hidden.torque_offset_nm,
+                   gyro_bias_radps=factor * hidden.gyro_bias_radps, imu_late_s=factor * hidden.imu_late_s)
+
+
 def _joined(shares: Mapping[str, float]) -> Hidden:
     """The emulator's effects together, each with its share of the demo's size."""
-    parts = [scaled(EFFECTS[name], share) for name, share in shares.items()]
+    parts = [_scaled(EFFECTS[name], share) for name, share in shares.items()]
     return Hidden("several", None, "", tuple(one for part in parts for one in part.body),
                   tuple(one for part in parts for one in part.torques), sum(part.torque_offset_nm for part in parts),
                   sum(part.gyro_bias_radps for part in parts), imu_late_s=sum(part.imu_late_s for part in parts))

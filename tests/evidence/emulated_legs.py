@@ -1,4 +1,4 @@
-"""Emulated legs with random parameters, and the rig file and labels of the studies that record them."""
+"""Emulated legs with random parameters, and the rig file of the studies that record them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from daq import Rig, load_rig
-from estimator.diagnosis import Diagnosis
-from experiments.documents import DiagnosisDocument
 from experiments.emulation import LegBody
 from tests.support.paths import DEMO_RIG
 
@@ -32,13 +30,3 @@ def rig_in(folder: Path) -> tuple[Rig, str]:
     text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     return load_rig(folder / "rig.toml"), text
-
-
-def label(effect: str, joint: int | None) -> str:
-    """`effect@joint`."""
-    return effect if joint is None else f"{effect}@{joint}"
-
-
-def causes_of(found: Diagnosis) -> tuple[str, ...]:
-    """Labels of the causes."""
-    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in DiagnosisDocument.of(found).document["causes"]))

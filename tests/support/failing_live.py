@@ -13,7 +13,7 @@ from typing import Any
 from msgspec import ValidationError
 
 from experiments.cli.main import main
-from experiments.live import bench, children, page, session, watch_chart
+from experiments.live import bench, children, page, session
 
 ENTRY = "LEGID_FAILING"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -24,9 +24,6 @@ PARTS: dict[str, tuple[Any, str, Exception]] = {
     "quality: disk full": (bench, "look_at", FULL),
     "quality: no process": (children, "start", BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))),
     "look at runs": (bench.Bench, "look_at_runs", PermissionError(errno.EACCES, os.strerror(errno.EACCES))),
-    "marks: folder": (bench.Bench, "look_for_marks", GONE),
-    "marks: document": (watch_chart, "read_marks", ValueError("year is out of range")),
-    "chart over the weeks": (page.Page, "_follow_watch", ZeroDivisionError("float division by zero")),
     "readings": (page, "readings", ValueError("cannot convert float NaN to integer")),
     "list of jobs": (page.Page, "_draw_jobs", RuntimeError("the element is gone")),
     "list of runs": (page.Page, "_draw_runs", UnicodeEncodeError("utf-8", "\udcff", 0, 1, "surrogates not allowed")),

@@ -46,9 +46,6 @@ COMMAND = Command(
         FORCE,
         argument("--next", metavar="DIAGNOSIS.json",
                  help="with --session: plans that show the causes of this diagnosis best"),
-        argument("--separate", metavar="DIAGNOSIS.json",
-                 help="with --model and --out: the plan that tells the rivals of this diagnosis apart soonest, and the "
-                      "seconds that it needs"),
         argument("--runs", type=_within(4, 64), default=16,
                  help="with --session: number of plans (default 16: every part of a diagnosis sees every kind)"),
         argument("--criterion", choices=("d", "worst"), default="d",
@@ -58,7 +55,7 @@ COMMAND = Command(
         argument("--low", metavar="HZ", type=_within(0.0, 25.0),
                  help="lowest frequency (default: one period a plan; 0.1 without a model)"),
         argument("--high", metavar="HZ", type=_within(0.0, 25.0),
-                 help="highest frequency (default 3; --separate tries up to a twelfth of the sampling rate)"),
+                 help="highest frequency (default 3)"),
         argument("--margin", type=_within(0.05, 1.0), default=0.8, help="share of each limit used (default 0.8)"),
         argument("--doubt", type=_within(0.0, 0.5), default=0.1,
                  help="share by which the prior's parameters may be off: models so far away keep the limits too "
@@ -78,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     if args.session is not None:
         return _session(args, rig)
-    plan = _separating(args, rig) if args.separate else _designed(args, rig)
+    plan = _designed(args, rig)
     legid.write_plan(plan, args.out)
     print(f"{args.out}: {plan.duration_s:.1f} s, at most {plan.peak_nm:.3g} N m. "
           f"Next: legid record --rig {shlex.quote(args.rig)} --plan {shlex.quote(args.out)} --out RUN.mcap")
@@ -95,8 +92,6 @@ def _check(args: argparse.Namespace) -> None:
             (session and not model, ("--session", "is designed by a model of the rig", "give --model MODEL.json")),
             (args.peak is not None and model,
              ("--peak", "is for a plan without a model", "leave out --peak; --margin scales the plan")),
-            (args.separate is not None and (session or not model),
-             ("--separate", "designs one plan by a model of the rig", "give --model and --out")),
             (args.holds is not None and model and not session,
              ("--holds", "is a plan without a model", "leave out --model and --session"))):
         if wrong:
@@ -132,20 +127,3 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
     if args.model:
         print(found)
     return found.plan
-
-
-def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
-    """The plan that tells rivals apart, told of on the way."""
-    from experiments.session import setup_of
-
-    question = excite.question_of(args.separate)
-    bench, band, search = _prior(args, rig)
-    model = legid.load_model(args.model)
-    contest = excite.contest_of(bench, question, model, setup_of([], rig, model.provenance.sensors).options)
-    bands = [band] if args.high is not None else excite.widening_bands(band.seconds, band.low_hz,
-                                                                       rig.sampling.planned_hz)
-    with stages("designing") as show:
-        found = excite.separate(contest, bands, search,
-                                lambda done, total: show(f"{done:.0f} of {total:.0f} plans", done / total))
-    print(excite.separation_text(found, question))
-    return found.best.plan

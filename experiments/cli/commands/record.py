@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
         file, plan = daq.read_rig_file(rig.rig_path(args.rig), args.rig_sha256), read_plan(args.plan)
         if args.emulate is None:
             rig.confirm_estop(file.rig, args.estop_at_hand)
-            print(rig.MOVES, flush=True)
+            print("The leg will move: hardwired emergency stop at hand, nobody within its reach (docs/safety.md).",
+                  flush=True)
         done, warnings = workflows.record_plan(file, plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "

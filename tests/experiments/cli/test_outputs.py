@@ -14,13 +14,11 @@ FIT = ["fit", "none.csv", "--rig", "none.toml"]
 DIAGNOSE = ["diagnose", "none.csv", "--rig", "none.toml"]
 VALIDATE = ["validate", "none.json", "none.csv", "--rig", "none.toml"]
 COMPARE = ["compare", "none.json", "none.json", "none.csv", "--rig", "none.toml"]
-WATCH = ["watch", "none.csv", "--against", "old.csv", "--rig", "none.toml"]
 OUTPUTS = [
     [*FIT, "--json"], [*FIT, "--html"], [*FIT, "--model-out"], [*FIT, "--each", "--json"],
     [*VALIDATE, "--json"], [*VALIDATE, "--html"],
     [*COMPARE, "--json"], [*COMPARE, "--html"],
     [*DIAGNOSE, "--json"], [*DIAGNOSE, "--html"], [*DIAGNOSE, "--model-out"],
-    [*WATCH, "--json"], [*WATCH, "--html"],
     ["simulate", "none.json", "--plan", "none.csv", "--out"], ["excite", "--rig", "none.toml", "--out"],
     ["compensate", "none.json", "--plan", "none.csv", "--out"],
     ["export", "none.csv", "--to", "csv", "--out"], ["export", "none.csv", "--to", "mat", "--out"],

@@ -1,4 +1,4 @@
-"""`legid.diagnosis/1` with `against`, `legid.sessions/1` and `legid.watch/1` as structs: earlier files are read."""
+"""`legid.diagnosis/1` with `against` and `legid.sessions/1` as structs: earlier files are read."""
 
 from __future__ import annotations
 
@@ -39,19 +39,6 @@ SAME = {**PAIR, "b": {"name": "C", "runs": ["C c.csv"]}, "verdict": "no_change",
         "causes": []}
 SESSIONS: dict[str, Any] = {"schema": "legid.sessions/1", "set_aside": [], "pairs": [SAME, PAIR], "damaged": [],
                             "provenance": FILE}
-BLOCKS = [{"end_s": 5.0, "seconds": 5.0, "per_hour": 3.0, "effect": "payload", "joint": 2, "since_s": 5.0},
-          {"end_s": 10.0, "seconds": 5.0, "per_hour": 1e-7, "effect": "gyro_scale", "joint": None, "since_s": 10.0}]
-WATCHED: dict[str, Any] = {"recorded": None, "seconds": 10.0, "alarm": None, "blocks": BLOCKS[:1], "failed": None,
-                           "change": None}
-WATCH: dict[str, Any] = {
-    "schema": "legid.watch/1", "false_alarms_per_hour": 0.1, "reference": {"runs": ["a.csv"], "sources": []},
-    "watched": [{"run": "b.csv", "state": "ok", **WATCHED},
-                {"run": "c.csv", "state": "alarm", **WATCHED, "alarm": BLOCKS[1], "blocks": BLOCKS},
-                {"run": "d.csv", "state": "not tested", **WATCHED, "blocks": [], "seconds": 0.0,
-                 "failed": "it is empty"},
-                {"run": "e.csv", "state": "changed", **WATCHED,
-                 "change": {k: v for k, v in CHANGE.items() if k not in ("damaged", "provenance")}}],
-    "provenance": FILE}
 
 
 def written(folder: Path, document: dict[str, Any]) -> Path:
@@ -93,20 +80,3 @@ def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Pat
     assert [pair.pop("wall_s") for pair in again["pairs"]] == [0.0, 0.0] and again == SESSIONS
     one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": [PAIR]}))
     assert "From A to B:" in str(one) and "from" not in one.to_frame()
-
-
-def test_a_watch_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
-    found = legid.Watching.read(written(tmp_path, WATCH))
-    lines = str(found).splitlines()
-    assert lines[0].startswith("The rig changed: ") and lines[0].endswith("1 with an alarm, first c.csv")
-    assert lines[1] == "b.csv: ok; 10 s; likeliest change payload (link 2), by chance 3 times an hour"
-    assert lines[2].startswith("c.csv: ALARM after 10.0 s;") and lines[3] == "  The next run names the change"
-    assert lines[4] == "d.csv: not tested: it is empty" and lines[6].startswith("  1 runs since b.csv: Changed: ")
-    assert found.alarms == ("c.csv",) and repr(found).startswith("<Watching: The rig changed: ")
-    assert found.to_frame()["effect"].dropna().tolist() == ["payload", "gyro_scale", "payload"]
-    assert len(found.plot().axes) == 1 and found.watched[3].change is not None
-    found.page(tmp_path / "page.html")
-    assert "d.csv was not tested: it is empty" in (tmp_path / "page.html").read_text()
-    found.to_json(tmp_path / "again.json")
-    again = json.loads((tmp_path / "again.json").read_text())
-    assert again["watched"][3]["change"].pop("damaged") == [] and again == WATCH

@@ -86,13 +86,12 @@ def circular(out: Path) -> None:
 
 
 def pipes(out: Path) -> None:
-    for name in ("run-0.mcap", "watch.json", "fit-0.json"):
+    for name in ("run-0.mcap", "fit-0.json"):
         os.mkfifo(out / name)
 
 
 def folders(out: Path) -> None:
-    for name in ("run-0.mcap", "watch.json"):
-        (out / name).mkdir()
+    (out / "run-0.mcap").mkdir()
 
 
 def names(out: Path) -> None:
@@ -100,16 +99,8 @@ def names(out: Path) -> None:
     (out / '"><img src=x onerror=alert(1)>.mcap').write_bytes(b"")
 
 
-def documents(out: Path) -> None:
-    (out / "watch.json").write_text(
-        '{"schema": "legid.watch/1", "false_alarms_per_hour": 1, "watched": [{"run": "a", "state": "ok", '
-        '"blocks": [{"per_hour": 1e308}], "recorded": "0001-01-01T00:00:00Z"}]}')
-    (out / "watch2.json").write_text("[" * 100_000)
-
-
 REAL: dict[str, Callable[[Path], None]] = {
-    "dangling link": dangling, "circular links": circular, "pipes": pipes, "folders": folders,
-    "names": names, "documents": documents}
+    "dangling link": dangling, "circular links": circular, "pipes": pipes, "folders": folders, "names": names}
 
 
 @contextmanager

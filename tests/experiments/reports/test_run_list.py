@@ -121,18 +121,3 @@ def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err.count("\n") == 2
     assert main(["runs", str(tmp_path)]) == 0
     assert capsys.readouterr().out == "0 runs\n"
-
-
-def test_the_newest_watch_has_a_column(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["runs", str(folder)]) == 0
-    assert "watch" not in capsys.readouterr().out.splitlines()[0]
-    for name, age_s, states in (("w1.json", 9, {"a.mcap": "ok", "b.mcap": "ok"}), ("w2.json", 1, {"a.mcap": "alarm"})):
-        path = folder / name
-        path.write_text(json.dumps({"schema": "legid.watch/1", "watched": [
-            {"run": run, "state": state, "blocks": []} for run, state in states.items()]}))
-        os.utime(path, (2e9 - age_s, 2e9 - age_s))
-    found = {str(r["file"]): r["watch"] for r in listed(folder)}
-    assert found == {"a.mcap": "alarm", "b.mcap": "ok", "deep/a.mcap": None, "broken.mcap": None}
-    out = capsys.readouterr().out.splitlines()
-    assert out[0].endswith("watch") and any(line.startswith("a.mcap") and line.endswith("alarm") for line in out)
-    assert listed(folder)[2]["verdict"] == "named"

@@ -1,4 +1,4 @@
-"""A loop whose readings change: by earlier runs, by their MODEL.json and by `watch` the same is said."""
+"""A loop whose readings change: by earlier runs and by their MODEL.json the same is said."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from msgspec import structs
 from daq import Dataset, InputError, Rig, parse_rig
 from experiments.models import Model, load_model, save_model
 from experiments.session import prepare
-from experiments.workflows import as_reference, find_change, find_change_since, watcher_of
+from experiments.workflows import as_reference, find_change, find_change_since
 from tests.support.models import write_model
 from tests.support.servo_joint import DAMPING, GAIN, servo_run
 
@@ -58,18 +58,6 @@ def test_a_model_says_of_a_loop_what_its_runs_say(before: list[Dataset], model: 
     assert answers[0].causes[0].size == answers[1].causes[0].size
     same = [measured(f"c{k}", 20 + k) for k in range(2)]
     assert find_change_since(same, model, "model.json", RIG).change.verdict == "no_change"
-
-
-@pytest.mark.parametrize("by_model", [False, True])
-def test_watch_alarms_at_a_loop_of_another_law(before: list[Dataset], model: Model, by_model: bool) -> None:
-    watcher = watcher_of(model if by_model else before, "model.json", RIG, 0.1)
-    assert watcher.watch(measured("c1", 20)).state == "ok"
-    first = watcher.watch(measured("b1", 10, SCALE))
-    alarm = first.alarm
-    assert first.state == "alarm" and alarm is not None
-    assert (alarm.effect, alarm.joint) == ("encoder_scale", 1) and alarm.per_hour < 0.1
-    second = watcher.watch(measured("b2", 11, SCALE))
-    assert second.change is not None and second.change.causes[0].effect == "encoder_scale"
 
 
 def test_a_model_of_an_earlier_version_has_no_law(model: Model, tmp_path: Path) -> None:
