@@ -1,6 +1,5 @@
 from .first_plan import first_plan as first_plan
 from .multisine import random_multisine as random_multisine
-from .optimal_design import USUAL_HIGH_HZ as USUAL_HIGH_HZ
 from .optimal_design import Band as Band
 from .optimal_design import Bench as Bench
 from .optimal_design import Design as Design

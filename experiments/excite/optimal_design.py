@@ -28,8 +28,6 @@ RATE_HZ = 100.0
 COARSE_HZ = 50.0
 """While it is being bettered; more where the band needs it."""
 SAMPLES_A_PERIOD = 12.0
-USUAL_HIGH_HZ = 3.0
-"""Highest frequency of a plan unless another is asked for: a leg's own swing and a few of its harmonics."""
 TAPER_S = 0.5
 """Torque comes and goes over this time: a step would shake the leg."""
 USUAL_NOISE = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "encoder_rad": 4e-4}

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from daq import Rig
     from daq.recording import Plan
-    from experiments.excite import Band, Bench, Search
 
 
 def _within(low: float, high: float) -> Callable[[str], float]:
@@ -54,8 +53,7 @@ COMMAND = Command(
         argument("--seconds", type=_within(2.0, 600.0), default=20.0, help="length of a plan (default 20)"),
         argument("--low", metavar="HZ", type=_within(0.0, 25.0),
                  help="lowest frequency (default: one period a plan; 0.1 without a model)"),
-        argument("--high", metavar="HZ", type=_within(0.0, 25.0),
-                 help="highest frequency (default 3)"),
+        argument("--high", metavar="HZ", type=_within(0.0, 25.0), default=3.0, help="highest frequency (default 3)"),
         argument("--margin", type=_within(0.05, 1.0), default=0.8, help="share of each limit used (default 0.8)"),
         argument("--doubt", type=_within(0.0, 0.5), default=0.1,
                  help="share by which the prior's parameters may be off: models so far away keep the limits too "
@@ -98,18 +96,15 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(*error)
 
 
-def _prior(args: argparse.Namespace, rig: Rig) -> tuple[Bench, Band, Search]:
-    """What a design is made on, in which band, and how it is sought."""
-    return (excite.Bench(legid.load_model(args.model), rig, args.model, args.doubt),
-            excite.Band(args.seconds, args.low or 0.0, excite.USUAL_HIGH_HZ if args.high is None else args.high),
-            excite.Search(args.margin, args.criterion, int(args.tries), int(args.steps), args.seed))
-
-
 def _session(args: argparse.Namespace, rig: Rig) -> int:
     """A folder of plans, told of."""
     choice = excite.usual_choice() if args.next is None else excite.next_choice(args.next)
     with stages("designing") as show:
-        session = excite.plan_session(*_prior(args, rig), choice, int(args.runs), show)
+        session = excite.plan_session(
+            excite.Bench(legid.load_model(args.model), rig, args.model, args.doubt),
+            excite.Band(args.seconds, args.low or 0.0, args.high),
+            excite.Search(args.margin, args.criterion, int(args.tries), int(args.steps), args.seed), choice,
+            int(args.runs), show)
     excite.write_session(session, Path(args.session), args.rig, args.model, args.margin)
     print(excite.session_text(session, Path(args.session)))
     return 0
@@ -119,8 +114,7 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
     """The best plan by the prior model, told of on the way; without one equal sines, or a staircase."""
     with stages("designing") as show:
         found = legid.excite(
-            rig, args.model, seconds=args.seconds, low_hz=args.low,
-            high_hz=excite.USUAL_HIGH_HZ if args.high is None else args.high, peak_nm=args.peak,
+            rig, args.model, seconds=args.seconds, low_hz=args.low, high_hz=args.high, peak_nm=args.peak,
             holds=None if args.holds is None else int(args.holds), margin=args.margin, criterion=args.criterion,
             doubt=args.doubt, tries=int(args.tries), steps=int(args.steps), seed=args.seed,
             progress=lambda done, total: show(f"{done:.1f} of {total:g} starts", done / total))

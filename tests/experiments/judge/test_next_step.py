@@ -8,11 +8,12 @@ from dataclasses import replace
 import pytest
 
 from estimator import VERDICTS, Verdict
+from estimator.change import Change
 from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
 from experiments.cli.main import build_parser
 from experiments.documents import DiagnosisDocument
-from experiments.judge.next_steps import RECORD, SENSORS, Files, next_step, variable_of, with_names
+from experiments.judge.next_steps import RECORD, SENSORS, Files, next_of_change, next_step, variable_of, with_names
 from experiments.reports.diagnosis_text import diagnosis_text
 from tests.support.diagnoses import synthetic
 
@@ -36,6 +37,11 @@ def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
     assert commands
     for command, words in commands:
         assert set(re.findall(r"--[a-z-]+", words)) <= options_of(command), step
+
+
+def test_causes_of_a_change_are_told_apart_as_those_of_a_diagnosis() -> None:
+    found = replace(synthetic(), verdict="one_of")
+    assert next_of_change(Change("one_of", "One of these changed.")) == next_step(found)
 
 
 def test_a_remainder_gives_joint_variable_and_what_to_do() -> None:
