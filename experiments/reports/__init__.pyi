@@ -51,7 +51,6 @@ from .investigation import investigation_text as investigation_text
 from .investigation import paint_errors as paint_errors
 from .investigation import step_text as step_text
 from .investigation import write_investigation as write_investigation
-from .markdown import write_markdown as write_markdown
 from .origin import Source as Source
 from .origin import model_with_origin as model_with_origin
 from .origin import origin_section as origin_section
