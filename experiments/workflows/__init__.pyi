@@ -29,7 +29,6 @@ from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
 from .follow import follow_commands as follow_commands
 from .in_mujoco import compared_text as compared_text
-from .in_mujoco import starts_of as starts_of
 from .in_mujoco import validate_in_mujoco as validate_in_mujoco
 from .investigate import Asked as Asked
 from .investigate import investigate_rig as investigate_rig
@@ -44,9 +43,6 @@ from .tune import tune_runs as tune_runs
 from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
 from .validate import model_of_fit as model_of_fit
-from .validate import predict_setup as predict_setup
-from .validate import seen_in_fit as seen_in_fit
-from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared
 from .watch import Watcher as Watcher
 from .watch import arrivals as arrivals
