@@ -27,7 +27,7 @@ from experiments.reports import (
     write_investigation,
     write_watch,
 )
-from legid.tables import Judged, Shown, columns, frame, html_table, or_inf, paragraphs
+from legid.tables import Judged, Shown, columns, frame, or_inf, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,8 +134,7 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
 
 
 def _html(found: Differing) -> str:
-    table = cause_table(found)
-    return paragraphs(found.headline.told) + (html_table(table.header, table.rows) if table.rows else "")
+    return paragraphs(found.headline.told) + tables_html(cause_table(found))
 
 
 class Watching(Shown, WatchDocument, kw_only=True):

@@ -55,8 +55,6 @@ from legid.listings import Effects, Excitation, Guess
 from legid.results import Dataset, origin_from
 from legid.run_lists import Fits, RunList
 
-__all__ = ["effects", "excite", "export", "fit_each", "guess", "list_runs", "read", "simulate"]
-
 
 def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
     """The columns of another program's file with units and signs, by names, gravity and the equation of motion.

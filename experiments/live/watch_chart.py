@@ -14,7 +14,6 @@ import msgspec
 from msgspec import Struct
 
 from daq import InputError, read_bytes
-from experiments.reports import WATCH_SCHEMA
 
 MOST_BYTES = 1 << 26
 """Of a document of `legid watch`."""
@@ -39,14 +38,9 @@ class _Tested(Struct):
     recorded: datetime | None = None
 
 
-class _Watch(Struct):
-    schema: str
+class _Watch(Struct, tag_field="schema", tag="legid.watch/1"):
     false_alarms_per_hour: float
     watched: tuple[_Tested, ...] = ()
-
-
-class _Any(Struct):
-    schema: str
 
 
 class Mark(NamedTuple):
@@ -70,9 +64,8 @@ def read_marks(folder: Path) -> tuple[Mark, ...]:
     documents: list[tuple[float, _Watch]] = []
     for path in folder.glob("*.json"):
         with suppress(msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
-            data = read_bytes(path, MOST_BYTES)
-            if msgspec.json.decode(data, type=_Any).schema == WATCH_SCHEMA:
-                documents.append((path.stat().st_mtime, msgspec.json.decode(data, type=_Watch)))
+            document = msgspec.json.decode(read_bytes(path, MOST_BYTES), type=_Watch)
+            documents.append((path.stat().st_mtime, document))
     marks: dict[str, Mark] = {}
     for _, document in sorted(documents, key=lambda one: one[0]):
         for one in document.watched:

@@ -23,6 +23,7 @@ from .structure import range_note as range_note
 from .structure import range_note_of as range_note_of
 from .structure import structure_values as structure_values
 from .with_effects import effect_value as effect_value
+from .with_effects import effects_of as effects_of
 from .with_effects import fitted_model_of as fitted_model_of
 from .with_effects import shapes_of as shapes_of
 from .with_effects import simulate_extended as simulate_extended

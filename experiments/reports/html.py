@@ -144,8 +144,8 @@ def _cell(text: str) -> Markup:
     return Markup("<span>") + words + Markup("</span>") if "<span" in words else words
 
 
-def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
-                origin: Origin | None = None, verdict: Headline | None = None) -> str:
+def render_page(title: str, summary: str, sections: Sequence[Section], origin: Origin | None = None,
+                verdict: Headline | None = None) -> str:
     """The page as HTML text; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
@@ -159,7 +159,7 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
         picture.chart for picture in (*([lead] if lead else []), *(p for s in sections for p in s.pictures)))
     sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []
     css = Markup("\n".join([*sheets, environment.get_template("report.css").render()]))
-    stamp = (date or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC")
+    stamp = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     return environment.get_template("report.html").render(
         title=title, summary=summary, sections=sections, lead=lead, css=css, stamp=stamp, version=program_version(),
         meta=META, origin=None if origin is None else msgspec.json.encode(origin).decode(), verdict=verdict,
@@ -179,4 +179,4 @@ def _lead(sections: Sequence[Section]) -> tuple[list[Section], Picture | None]:
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],
                origin: Origin | None = None, verdict: Headline | None = None) -> None:
     """Render and write; `origin` goes into its head. Raises `InputError` where that place cannot be written."""
-    write_text(path, render_page(title, summary, sections, origin=origin, verdict=verdict))
+    write_text(path, render_page(title, summary, sections, origin, verdict))

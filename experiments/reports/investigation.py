@@ -10,8 +10,7 @@ import numpy as np
 
 from experiments.documents import Belief, Experiment, InvestigationDocument, Step, finite
 from experiments.judge import verdict_title
-from experiments.reports.diagnosis_figures import draw
-from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
+from experiments.reports.figures import BLUE, GREY, INK, ORANGE, draw, finish
 from experiments.reports.html import Picture, Section, Table, fold
 from experiments.reports.origin import write_result
 

@@ -21,7 +21,6 @@ from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.judge import BOUND_S, clock_bound_s
 from experiments.reports.run_info import lost_frames, readings_of, recorded_readings
-from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
 KINDS = (".mcap", *SUFFIXES)
 MOST_HEADER = 1 << 16
@@ -37,17 +36,12 @@ class _Cause(Struct):
     joint: int | None = None
 
 
-class _Diagnosis(Struct):
+class _Diagnosis(Struct, tag_field="schema", tag="legid.diagnosis/1"):
     """What is read of a diagnosis JSON; everything else in it is left alone."""
 
-    schema: str
     verdict: str
     causes: tuple[_Cause, ...] = ()
     runs: dict[str, tuple[str, ...]] = {}
-
-
-class _Any(Struct):
-    schema: str
 
 
 class _Tested(Struct):
@@ -55,10 +49,9 @@ class _Tested(Struct):
     state: str
 
 
-class _Watch(Struct):
+class _Watch(Struct, tag_field="schema", tag="legid.watch/1"):
     """What is read of a watch JSON."""
 
-    schema: str
     watched: tuple[_Tested, ...] = ()
 
 
@@ -238,14 +231,10 @@ def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
     found: list[tuple[float, Path, _Diagnosis | _Watch]] = []
     for path in folder.rglob("*.json"):
         try:
-            data = read_bytes(path, MOST_BYTES)
-            schema = msgspec.json.decode(data, type=_Any).schema
-            document = msgspec.json.decode(data, type=_Watch) if schema == WATCH else \
-                msgspec.json.decode(data, type=_Diagnosis)
+            document = msgspec.json.decode(read_bytes(path, MOST_BYTES), type=_Diagnosis | _Watch)
         except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
-        if schema in ("legid.diagnosis/1", WATCH):
-            found.append((path.stat().st_mtime, path, document))
+        found.append((path.stat().st_mtime, path, document))
     return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
 
 

@@ -9,15 +9,13 @@ import numpy as np
 
 from experiments.documents import Block, WatchDocument, WatchedRun
 from experiments.reports.change import change_sections
-from experiments.reports.diagnosis_figures import draw
-from experiments.reports.figures import BLUE, INK, ORANGE, finish
+from experiments.reports.figures import BLUE, INK, ORANGE, draw, finish
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.origin import write_result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WATCH_SCHEMA = "legid.watch/1"
 MOST_H = 1e6
 """Longer times between false alarms are not told apart."""
 LEAST = 1e-9
@@ -28,11 +26,6 @@ MOST_TICKS = 12
 def watch_text(found: WatchDocument) -> str:
     """The answer, and a line a run."""
     return "\n".join([f"{found.headline.title}: {found.summary}", *map(line_text, found.watched)])
-
-
-def watch_summary(found: WatchDocument) -> str:
-    """Sentence over all runs."""
-    return found.summary
 
 
 def line_text(one: WatchedRun) -> str:

@@ -43,6 +43,7 @@ from .tune import tune_runs as tune_runs
 from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
 from .validate import model_of_fit as model_of_fit
+from .validate import predict_setup as predict_setup
 from .validate import validate_prepared as validate_prepared
 from .watch import Watcher as Watcher
 from .watch import arrivals as arrivals

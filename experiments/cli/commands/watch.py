@@ -61,5 +61,5 @@ def run(args: argparse.Namespace) -> int:
     if not last and not args.follow:
         raise InputError(args.places[0], "holds no run but those of the reference", "give later runs")
     if last:
-        print(reports.watch_summary(last[0]))
+        print(last[0].summary)
     return 0
