@@ -17,9 +17,9 @@ from functools import lru_cache
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
+from markupsafe import Markup, escape
 
 from experiments.console import text_table, write_text
 from experiments.judge import Headline
@@ -34,9 +34,6 @@ PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%",
 
 WHOLE = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+|[\d.]+e-\d+")
 """What a browser would part at a hyphen, and a person reads or types as one."""
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,6 @@ class Picture:
     @property
     def markup(self) -> Markup:
         """The SVG as it goes into the page; it comes from `experiments.reports.figures`, never from a file."""
-        from markupsafe import Markup
-
         return Markup(self.svg)
 
 
@@ -131,15 +126,11 @@ def whole_options(escaped: str) -> str:
 
 def _prose(text: str) -> Markup:
     """Text as a page has it, in a paragraph or a cell."""
-    from markupsafe import Markup, escape
-
     return Markup(whole_options(str(escape(typeset(text)))))
 
 
 def _cell(text: str) -> Markup:
     """The same as one element: on a phone a cell lays out its children in a row."""
-    from markupsafe import Markup
-
     words = _prose(text)
     return Markup("<span>") + words + Markup("</span>") if "<span" in words else words
 
@@ -148,7 +139,6 @@ def render_page(title: str, summary: str, sections: Sequence[Section], origin: O
                 verdict: Headline | None = None) -> str:
     """The page as HTML text; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-    from markupsafe import Markup
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
