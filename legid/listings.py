@@ -80,7 +80,7 @@ class Guess(Shown):
 
     def page(self, path: Path | str) -> None:
         """Write the page by which to judge it. Raises `InputError`."""
-        write_page(path, f"Columns of {self.file}", "A guess: look at it before it is used.",
+        write_page(path, f"Columns of {Path(self.file).name}", "A guess: look at it before it is used.",
                    [guess_section(self.found, self.file)], verdict=guess_verdict(self.found))
 
     def to_frame(self) -> DataFrame:

@@ -83,7 +83,7 @@ def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = Non
     """
     kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed)
     given = as_runs(starts)
-    check_wanted(kind, wanted, bool(given))
+    check_wanted(kind, bool(given), samples)
     if isinstance(what, PlainDataset if kind in OF_MODELS else Model):
         raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
                          f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,15 +99,18 @@ def waterfall(budget: Sequence[Share]) -> str:
 
 def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:
     """(x label, y label) -> limits that hold all signatures with these axes, so that they can be compared."""
-    found: dict[tuple[str, str], tuple[Limits, Limits]] = {}
+    alike = defaultdict[tuple[str, str], list[Signature]](list)
     for s in signatures:
-        key = s.x_label, s.y_label
-        low = min(float(np.min(s.before - s.before_error)), float(np.min(s.curve)), float(np.min(s.after)))
-        high = max(float(np.max(s.before + s.before_error)), float(np.max(s.curve)), float(np.max(s.after)))
-        x, y = (float(s.x.min()), float(s.x.max())), (low, high)
-        old_x, old_y = found.get(key, (x, y))
-        found[key] = (min(x[0], old_x[0]), max(x[1], old_x[1])), (min(y[0], old_y[0]), max(y[1], old_y[1]))
-    return found
+        alike[s.x_label, s.y_label].append(s)
+    return {key: (_limits(s.x for s in own), _limits(
+        values for s in own for values in (s.before - s.before_error, s.before + s.before_error, s.curve, s.after)))
+        for key, own in alike.items()}
+
+
+def _limits(curves: Iterable[FloatArray]) -> Limits:
+    """Smallest and largest value of all."""
+    every = np.concatenate([*curves])
+    return float(every.min()), float(every.max())
 
 
 def signature_plot(s: Signature, limits: tuple[Limits, Limits]) -> str:

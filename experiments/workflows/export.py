@@ -52,9 +52,9 @@ def export_kind(out: str, kind: str | None = None) -> str:
     return found
 
 
-def check_wanted(kind: str, wanted: Wanted, starts: bool) -> None:
+def check_wanted(kind: str, starts: bool, samples: int) -> None:
     """Raises `InputError` for what the format does not take; `starts`: whether runs were given."""
-    for flag, given in (("--starts", starts), ("--samples", wanted.samples)):
+    for flag, given in (("--starts", starts), ("--samples", samples)):
         if given and kind != "mujoco":
             raise InputError(flag, "is for --to mujoco", "leave it out")
 

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Write, and tell what the files do not hold."""
     kind = workflows.export_kind(args.out, args.to)
     _check(args, kind)
-    workflows.check_wanted(kind, workflows.Wanted(samples=args.samples), bool(args.starts))
+    workflows.check_wanted(kind, bool(args.starts), args.samples)
     starts, rig = given_runs(args, args.starts) if args.starts else ((), args.rig)
     done = legid.export(args.run_file, args.out, kind, rig=rig, starts=starts, samples=args.samples, seed=args.seed,
                         rate_hz=args.rate, damaged=args.damaged)
