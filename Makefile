@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed structure servos servo-laws payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed structure servos servo-laws payloads changed-families looks lab-chain timing tuning engines trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -216,10 +216,6 @@ simulators: $(STAMP)
 # A lab's signal chain, all small faults of its sensors at once: twenty minutes.
 lab-chain: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence lab-chain --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6500) --out docs/evidence/lab-chain.md
-
-# Causes of emulated legs undone by their drives: two minutes.
-compensation: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence compensation --out docs/evidence/compensation.md
 
 # Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
 trust: $(STAMP)

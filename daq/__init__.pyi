@@ -39,5 +39,4 @@ from .rig_types import Matrix3 as Matrix3
 from .rig_types import Vector3 as Vector3
 from .servo import Servo as Servo
 from .si_units import imu_columns as imu_columns
-from .si_units import pivot_angle as pivot_angle
 from .si_units import second_torque as second_torque

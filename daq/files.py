@@ -35,8 +35,7 @@ _MARKS = ((r'^\s*\{\s*"schema":\s*"(legid\.[\w-]+/\d+)"', r"\1"),
           (r"<!-- Written by legid from an identified model[\s\S]*<(mujoco|robot)\b", r"\1"),
           (r"<(mujoco|robot)\b[\s\S]*<!-- Written by legid from an identified model", r"\1"),
           (r'\A"""[^"]*Written by `legid export', "simulator"),
-          (r"\Amodel,beta1,", "samples"), (r"\A# A leg for policy learning", "learning page"),
-          (r"<svg[^>]*><style>svg\{color:", "picture"), (r"<!-- written by legid -->", "text page"),
+          (r"\Amodel,beta1,", "samples"), (r"<svg[^>]*><style>svg\{color:", "picture"),
           (r"\A# An emulated rig served by", "emulated rig"))
 _force: ContextVar[bool] = ContextVar("force", default=False)
 
@@ -197,9 +196,9 @@ def _is_number(cell: str) -> bool:
 
 
 def _words(kind: str) -> str:
-    return {"page": "a report", "picture": "a picture", "text page": "a page",
-            "emulated rig": "an emulated rig's file", "plan": "a torque plan", "rig": "a rig file",
-            "mujoco": "an MJCF model", "robot": "a URDF model", "study": "a study's table"}.get(kind, f"a {kind}")
+    return {"page": "a report", "picture": "a picture", "emulated rig": "an emulated rig's file",
+            "plan": "a torque plan", "rig": "a rig file", "mujoco": "an MJCF model", "robot": "a URDF model",
+            "study": "a study's table"}.get(kind, f"a {kind}")
 
 
 def _refused(path: Path, error: OSError) -> InputError:

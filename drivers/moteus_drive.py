@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Capabilities, Lack, Received, Wiring
-from drivers.errors import DeviceAbsent, DeviceFault, ProtocolMismatch
+from drivers.errors import DeviceAbsent, ProtocolMismatch
 from drivers.fdcanusb_link import FdcanusbLink
 from drivers.link import Link
 from drivers.multiplex import (
@@ -140,34 +140,13 @@ class MoteusDrive(PolledDrive[Frames]):
         """The settings on which safety rests, over the console."""
         self._answer(lambda: self._post(poll_stream(CONSOLE_BYTES), True), lambda f: not self._text(f) or None,
                      SETTING_S)  # what is left there of somebody else's
-        return {name: self.setting(name) for name in SETTINGS}
+        return {name: self._read_setting(name) for name in SETTINGS}
 
-    def setting(self, name: str) -> float:
-        """One number of its configuration; NaN where the firmware does not know it."""
-        with suppress(ValueError):
-            return float(self._asked(f"conf get {name}"))
-        return math.nan
-
-    def configure(self, values: Mapping[str, float]) -> None:
-        """Write numbers of its configuration, read them back and keep them over a loss of supply; the motor is off.
-
-        Raises `DeviceFault` where the drive refuses one, or holds another afterwards."""
-        self._halt()
-        for name, value in values.items():
-            if self._asked(f"conf set {name} {value:.7g}") != "OK":
-                raise DeviceFault(f"{self._where}: refuses {name}; nothing is kept: switch its supply off and on")
-        for name, value in values.items():
-            if not math.isclose(self.setting(name), value, rel_tol=1e-5, abs_tol=1e-12):
-                raise DeviceFault(f"{self._where}: {name} is not what was written; switch its supply off and on")
-        if self._asked("conf write") != "OK":
-            raise DeviceFault(f"{self._where}: does not keep its configuration; in tview: conf write")
-
-    def _asked(self, line: str) -> str:
-        """Its console's answer to a line; empty without one."""
+    def _read_setting(self, name: str) -> float:
         said = b""
 
         def ask() -> None:
-            self._post(stream(STREAM_TO_SERVER, f"{line}\n".encode()), False)
+            self._post(stream(STREAM_TO_SERVER, f"conf get {name}\n".encode()), False)
             self._post(poll_stream(CONSOLE_BYTES), True)
 
         def take(frames: Frames) -> bytes | None:
@@ -180,7 +159,10 @@ class MoteusDrive(PolledDrive[Frames]):
                 self._post(poll_stream(CONSOLE_BYTES), True)
             return None
 
-        return str((self._answer(ask, take, SETTING_S) or b"").split(b"\n")[0].strip().decode("ascii", "replace"))
+        line = (self._answer(ask, take, SETTING_S) or b"").split(b"\n")[0].strip()
+        with suppress(ValueError):
+            return float(line)
+        return math.nan
 
     def _own_limits(self) -> DriveLimits:
         low, high = (self.joint_rad(self.settings[f"servopos.position_{end}"]) for end in ("min", "max"))

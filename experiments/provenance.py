@@ -63,12 +63,11 @@ class Origin(Struct, frozen=True, kw_only=True):
         return (*self.runs, *(s for s in (self.rig, self.model) if s is not None), *self.models)
 
 
-def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, model: Path | str | None = None,
-              seed: int | None = None, models: Sequence[Path | str] = (), command: str = "") -> Origin:
-    """Hashes of the files as they are now. Raises `InputError` for one that cannot be read."""
+def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, seed: int | None = None, command: str = ""
+              ) -> Origin:
+    """Hashes of the runs as they are now. Raises `InputError` for one that cannot be read."""
     return Origin(version=program_version(), commit=commit(), runs=tuple(map(source_of, runs)), rig=rig,
-                  model=None if model is None else source_of(model), command=command, seed=seed,
-                  models=tuple(map(source_of, models)))
+                  command=command, seed=seed)
 
 
 def source_of(path: Path | str) -> Source:

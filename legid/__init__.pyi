@@ -28,7 +28,6 @@ from .diagnoses import Diagnosis as Diagnosis
 from .fits import FitResult as FitResult
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation
-from .listings import Gains as Gains
 from .listings import Guess as Guess
 from .listings import Tuning as Tuning
 from .results import Dataset as Dataset
@@ -38,7 +37,6 @@ from .tools import effects as effects
 from .tools import excite as excite
 from .tools import export as export
 from .tools import fit_each as fit_each
-from .tools import gains as gains
 from .tools import guess as guess
 from .tools import list_runs as list_runs
 from .tools import read as read

@@ -24,18 +24,26 @@ from typing import TYPE_CHECKING, Literal, overload
 import numpy as np
 
 from daq import Dataset as PlainDataset
-from daq import InputError, Rig, WorkError, load_rig
-from daq.recording import Plan, read_plan, write_plan
-from drivers import DriverError
-from estimator import FitError, Method
+from daq import InputError as InputError
+from daq import Rig as Rig
+from daq import WorkError as WorkError
+from daq import load_rig as load_rig
+from daq.recording import Plan as Plan
+from daq.recording import read_plan as read_plan
+from daq.recording import write_plan as write_plan
+from drivers import DriverError as DriverError
+from estimator import FitError as FitError
 from estimator import FitResult as PlainFit
+from estimator import Method
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
 from experiments.console import work_bar
 from experiments.documents import Pair
 from experiments.excite import random_multisine
-from experiments.models import Model, load_model, save_model
+from experiments.models import Model as Model
+from experiments.models import load_model as load_model
+from experiments.models import save_model as save_model
 from experiments.provenance import source_of
 from experiments.rig import ChosenRig
 from experiments.session import load_runs, prepare
@@ -74,16 +82,12 @@ from legid.given import (
 )
 from legid.listings import Tuning
 from legid.results import Dataset, origin_from, sources_of
-from legid.validations import Validation, Validations
+from legid.validations import Validations
 
 if TYPE_CHECKING:
     from daq.recording import RecordReport
 
-__all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
-           "Model", "Plan", "Recording", "Rig", "Sessions", "Tuning", "Validation", "Validations", "WorkError",
-           "compare", "compare_sessions", "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine",
-           "read_plan", "record", "save_model", "tune", "validate", "write_plan"]
-
+Progress = Callable[[str, float], None]
 multisine = random_multisine
 
 
@@ -173,14 +177,13 @@ def validate(model: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: 
 
 @overload
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: ModelLike | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int | None = 1, material: float = MATERIAL,
+             progress: Progress | None = None, workers: int | None = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
 def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | ModelLike) -> Change: ...
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: ModelLike | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int | None = 1,
-             material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
-             against: Runs | ModelLike | None = None) -> Diagnosis | Change:
+             progress: Progress | None = None, workers: int | None = 1, material: float = MATERIAL,
+             fixed: Mapping[str, float] | None = None, against: Runs | ModelLike | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good.
@@ -270,8 +273,7 @@ def compare_sessions(sessions: Sequence[Runs], names: Sequence[str], rig: RigLik
 
 
 def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,
-         damaged: bool = False, progress: Callable[[str, float], None] | None = None,
-         fixed: Mapping[str, float] | None = None) -> Tuning:
+         damaged: bool = False, progress: Progress | None = None, fixed: Mapping[str, float] | None = None) -> Tuning:
     """The entries of a rig file that predict its records best: grid, hold, filter, encoders' error and zeros, terms.
 
     Each is chosen by how well a fit to half of the runs predicts the other half. `runs` are files, since they are read

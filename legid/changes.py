@@ -10,7 +10,7 @@ from daq import WorkError
 from experiments.documents import ChangeDocument, Differing, SessionsDocument
 from experiments.judge import Files
 from experiments.reports import cause_table, change_text, sessions_text, write_change
-from legid.tables import Judged, Shown, columns, frame, html_table, or_inf, paragraphs
+from legid.tables import Judged, Shown, columns, frame, or_inf, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,5 +117,4 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
 
 
 def _html(found: Differing) -> str:
-    table = cause_table(found)
-    return paragraphs(found.headline.told) + (html_table(table.header, table.rows) if table.rows else "")
+    return paragraphs(found.headline.told) + tables_html(cause_table(found))

@@ -20,10 +20,9 @@ if TYPE_CHECKING:
 
 
 class Compared(NamedTuple):
-    """Free runs, runs and mechanism that a document was made from."""
+    """Free runs and mechanism that a document was made from."""
 
     found: Found
-    runs: tuple[Dataset, ...]
     mechanism: str
 
 
@@ -34,7 +33,7 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
     def made_from(cls, found: Found, runs: Sequence[Dataset], mechanism: str, origin: Origin) -> Comparison:
         """The comparison of two models of `mechanism` on `runs`."""
         made = cls.of(found, [run for run in runs if run.name in found.runs])
-        made.__dict__["made"] = Compared(found, tuple(runs), mechanism)
+        made.__dict__["made"] = Compared(found, mechanism)
         made.provenance = origin
         return made
 

@@ -20,7 +20,7 @@ from experiments.reports import (
     write_diagnosis,
 )
 from experiments.session import Prepared
-from legid.tables import Judged, columns, frame, html_table, kept_with, or_inf, paragraphs
+from legid.tables import Judged, columns, frame, kept_with, or_inf, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,7 +116,5 @@ class Diagnosis(Judged, DiagnosisDocument, kw_only=True, dict=True):
         return short_diagnosis_text(self)
 
     def _repr_html_(self) -> str:
-        tables = [size_table(self.causes), error_table(self.sensors)]
-        return paragraphs(self.headline.told) + "".join(
-            html_table(table.header, table.rows) for table in tables if table.rows) + paragraphs(
-            [text for text in (gap_text(self), self.next_experiment) if text])
+        return (paragraphs(self.headline.told) + tables_html(size_table(self.causes), error_table(self.sensors))
+                + paragraphs([text for text in (gap_text(self), self.next_experiment) if text]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,15 +12,25 @@ from matplotlib.figure import Figure
 from daq import Dataset, FloatArray, WorkError
 from daq.recording import Plan
 from estimator import FitResult
-from estimator.diagnosis import Diagnosis, SensorGain, Signature
+from estimator.diagnosis import Diagnosis, Signature
 from estimator.prediction import Validation
 from experiments.documents import Answer, ComparisonDocument, TuningDocument
-from experiments.reports import BLUE, GREEN, GREY, ORANGE, drawn_changes, paint_changes, window
+from experiments.reports import (
+    BLUE,
+    ERRORS,
+    GREEN,
+    GREY,
+    ORANGE,
+    axis_label,
+    drawn_changes,
+    paint_changes,
+    paint_gains,
+    window,
+)
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
 MOST_SEGMENTS = 4
-UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C", "v": "V"}
 
 
 class NotebookFigure(Figure):
@@ -32,16 +42,16 @@ class NotebookFigure(Figure):
         return out.getvalue()
 
 
-def axis_label(column: str) -> str:
-    """`q2 [rad]` of `q2_rad`."""
-    name, _, unit = column.rpartition("_")
-    return f"{name} [{UNITS.get(unit, unit)}]" if name else column
-
-
 def _panels(rows: int, columns: int = 1) -> tuple[NotebookFigure, FloatArray]:
     """A figure with (rows, columns) axes that share their time."""
     figure = NotebookFigure(figsize=(7.2 * columns ** 0.5, 0.6 + 1.7 * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, sharex="col", squeeze=False)
+
+
+def _axes(height_in: float) -> tuple[NotebookFigure, Axes]:
+    """A figure with one set of axes."""
+    figure = NotebookFigure(figsize=(7.2, height_in), layout="constrained")
+    return figure, figure.subplots()
 
 
 def _legend(ax: Axes) -> None:
@@ -60,13 +70,13 @@ def dataset_figure(data: Dataset) -> Figure:
     return figure
 
 
-def fit_figure(result: FitResult, seconds: float = SECONDS) -> Figure:
+def fit_figure(result: FitResult) -> Figure:
     """The first seconds of the longest segment: sensors measured and as estimated, torques measured and modelled.
 
     Figs. 4 and 5 of Dolinsky and Celikovsky (IEEE TCST 26(4), 2018).
     """
     path = max(result.trajectories, key=lambda t: t.time_s.size)
-    part = window(path.time_s, seconds)
+    part = window(path.time_s, SECONDS)
     sensors = [name for name in path.measured if name in path.predicted]
     figure, axes = _panels(len(sensors) + result.mechanism.n)
     rows = [(axis_label(name), path.measured[name], path.predicted[name]) for name in sensors]
@@ -105,7 +115,9 @@ def diagnosis_figure(found: Diagnosis) -> Figure:
     rows = 1 + len(found.signatures)
     figure = NotebookFigure(figsize=(7.2, 0.8 + 2.6 * rows), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
-    _errors(axes[0], found.sensors)
+    paint_gains(axes[0], found.sensors)
+    axes[0].set_xlabel(ERRORS)
+    axes[0].legend(frameon=False)
     axes[0].set_title(found.verdict)
     for ax, signature in zip(axes[1:], found.signatures):
         _signature(ax, signature)
@@ -114,8 +126,7 @@ def diagnosis_figure(found: Diagnosis) -> Figure:
 
 def plan_figure(plan: Plan) -> Figure:
     """The torque of a plan over time."""
-    figure, axes = _panels(1)
-    ax = axes[0, 0]
+    figure, ax = _axes(2.3)
     ax.plot(plan.time_s, plan.torque_nm, color=BLUE, linewidth=0.9)
     ax.set_ylabel("torque [N m]")
     ax.set_xlabel("time [s]")
@@ -129,8 +140,7 @@ def tuning_figure(found: TuningDocument) -> Figure:
     trials = [one for one in trials if np.isfinite(one[2]).all()]
     if not trials:
         raise WorkError("no set-up that was tried can be simulated; record richer motion")
-    figure = NotebookFigure(figsize=(7.2, 2.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = _axes(2.6)
     for k, (label, colour, rmse) in enumerate(trials):
         ax.bar(np.arange(len(rmse)) + 0.4 * (k - 0.5 * (len(trials) - 1)), rmse, 0.38, color=colour, label=label)
     ax.set_xticks(range(len(trials[0][2])), [f"joint {j + 1}" for j in range(len(trials[0][2]))])
@@ -142,8 +152,7 @@ def tuning_figure(found: TuningDocument) -> Figure:
 def comparison_figure(found: ComparisonDocument) -> Figure:
     """The error of B over that of A, a row each horizon and sensor, with its 95 % interval; below 1, B is better."""
     errors = [e for e in found.errors if e.ratio is not None]
-    figure = NotebookFigure(figsize=(7.2, 0.8 + 0.22 * max(len(errors), 4)), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = _axes(0.8 + 0.22 * max(len(errors), 4))
     ratio = np.array([e.ratio for e in errors])
     for k, e in enumerate(errors):
         if e.ratio_ci95 is not None:
@@ -162,25 +171,12 @@ def change_figure(found: Answer) -> Figure:
     some = drawn_changes(found)
     if not some:
         raise WorkError(found.sentence)
-    figure = NotebookFigure(figsize=(7.2, 0.9 + 0.24 * len(some)), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = _axes(0.9 + 0.24 * len(some))
     paint_changes(ax, some)
     ax.set_xlabel("change / smallest detectable change")
     return figure
 
 
-def _errors(ax: Axes, sensors: Mapping[str, SensorGain]) -> None:
-    names = list(sensors)
-    floor = np.array([max(sensors[name].floor, 1e-300) for name in names])
-    kinds = (("nominal", BLUE, "before"), ("extended", ORANGE, "after"), ("noise alone", GREY, "floor"))
-    for k, (label, colour, which) in enumerate(kinds):
-        share = np.array([getattr(sensors[name], which) for name in names]) / floor
-        share[np.isinf(share)] = np.nan  # the simulation diverges: no bar
-        ax.barh(np.arange(len(names)) + 0.27 * (k - 1), share, 0.25, color=colour, label=label)
-    ax.set_yticks(range(len(names)), names)
-    ax.invert_yaxis()
-    ax.set_xlabel("rms error, in multiples of what noise alone leaves")
-    ax.legend(frameon=False)
 
 
 def _signature(ax: Axes, s: Signature) -> None:

@@ -17,7 +17,7 @@ from experiments.judge import check_sound
 from experiments.provenance import Origin
 from experiments.reports import agreement_lines, parameter_table, samples_text, whole_fit_text, write_fit
 from experiments.workflows import Fitted
-from legid.tables import Shown, columns, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -143,10 +143,9 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
 
     def _repr_html_(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
-        table = parameter_table(self)
         notes = [f"This data does not determine {name}." for name in self.undetermined]
         notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
         notes += [f"Warning: {text}" for text in self.warnings]
         return (paragraphs([str(self.trust), f"{self.model}, {self.method}, sensors {self.sensors}, "
                             f"{samples_text(self)}: {state}."])
-                + html_table(table.header, table.rows) + paragraphs(notes))
+                + tables_html(parameter_table(self)) + paragraphs(notes))

@@ -14,8 +14,7 @@ from experiments.documents import TuningDocument
 from experiments.exchange import Guess as PlainGuess
 from experiments.exchange import guess_text
 from experiments.excite import Design, design_text
-from experiments.models import Gains as PlainGains
-from experiments.models import Tolerances, effects_document, effects_text, gain_rows, gains_document, gains_text
+from experiments.models import effects_document, effects_text
 from experiments.provenance import Origin
 from experiments.reports import (
     GUESS_HEADER,
@@ -54,35 +53,6 @@ class Listing(Shown, ABC):
 
 
 @dataclass(frozen=True, repr=False)
-class Gains(Listing):
-    """Feedforward and PD gains of a model, with their margins."""
-
-    found: PlainGains
-    tolerated: Tolerances
-    left_out: tuple[str, ...] = ()
-    """Effects of the model that have no part in it."""
-    provenance: Origin | None = None
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """`legid.gains/1`, as `legid gains --json` writes it."""
-        return gains_document(self.found, self.tolerated)
-
-    def to_frame(self) -> DataFrame:
-        """One row a gain or margin: value, unit, meaning. Raises `WorkError` without pandas."""
-        rows = gain_rows(self.found)
-        values = list(self.found)[1:]
-        return frame({"gain": [row[0] for row in rows], "value": values, "unit": [row[2] for row in rows],
-                      "meaning": [row[3] for row in rows]}, "gain")
-
-    def __str__(self) -> str:
-        return gains_text(self.found)
-
-    def _repr_html_(self) -> str:
-        return html_table(["gain", "value", "unit", "meaning"], gain_rows(self.found))
-
-
-@dataclass(frozen=True, repr=False)
 class Guess(Shown):
     """The columns of another program's file as `legid import --guess` guesses them."""
 
@@ -110,7 +80,7 @@ class Guess(Shown):
 
     def page(self, path: Path | str) -> None:
         """Write the page by which to judge it. Raises `InputError`."""
-        write_page(path, f"Columns of {self.file}", "A guess: look at it before it is used.",
+        write_page(path, f"Columns of {Path(self.file).name}", "A guess: look at it before it is used.",
                    [guess_section(self.found, self.file)], verdict=guess_verdict(self.found))
 
     def to_frame(self) -> DataFrame:

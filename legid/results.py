@@ -60,9 +60,11 @@ class Dataset(Shown, PlainDataset):
 
         return dataset_figure(self)
 
+    def _head(self) -> str:
+        return f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {len(self) / self.rate_hz:.1f} s"
+
     def __str__(self) -> str:
-        return (f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {len(self) / self.rate_hz:.1f} s, columns "
-                f"{', '.join(self.columns)}")
+        return f"{self._head()}, columns {', '.join(self.columns)}"
 
     def _repr_html_(self) -> str:
         rows = []
@@ -70,6 +72,4 @@ class Dataset(Shown, PlainDataset):
             seen = values[np.isfinite(values)]
             cells = [f"{x:.4g}" for x in (seen.min(), seen.mean(), seen.max())] if seen.size else ["", "", ""]
             rows.append([name, *cells, str(values.size - seen.size)])
-        seconds = len(self) / self.rate_hz
-        return (paragraphs([f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {seconds:.1f} s"])
-                + html_table(["column", "smallest", "mean", "largest", "missing"], rows))
+        return paragraphs([self._head()]) + html_table(["column", "smallest", "mean", "largest", "missing"], rows)

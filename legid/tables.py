@@ -12,6 +12,8 @@ from daq import WorkError
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from experiments.reports import Table
+
 
 class Shown:
     """A result whose `repr` is its name and the first line of what it prints."""
@@ -93,6 +95,11 @@ def html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
     return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def tables_html(*tables: Table) -> str:
+    """Those that have rows."""
+    return "".join(html_table(table.header, table.rows) for table in tables if table.rows)
 
 
 def paragraphs(texts: Sequence[str]) -> str:

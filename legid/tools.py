@@ -1,4 +1,4 @@
-"""Functions around a fit: other programs' files in, lists, fits one by one, what a model gives: gains, plans, runs."""
+"""Functions around a fit: other programs' files in, lists, fits one by one, what a model gives: plans, runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from experiments.exchange import (
     require_scales,
 )
 from experiments.excite import Band, Bench, Search, design, first_plan
-from experiments.models import Model, Tolerances, gains_of, range_note_of
+from experiments.models import Model, range_note_of
 from experiments.provenance import source_of
 from experiments.reports import choose
 from experiments.reports import list_runs as lines_of
@@ -51,11 +51,9 @@ from experiments.workflows import (
     simulate_run,
 )
 from legid.given import ModelLike, RigLike, Runs, as_model, as_rig, as_runs, runs_and_rig, stored_rig
-from legid.listings import Effects, Excitation, Gains, Guess
+from legid.listings import Effects, Excitation, Guess
 from legid.results import Dataset, origin_from
 from legid.run_lists import Fits, RunList
-
-__all__ = ["effects", "excite", "export", "fit_each", "gains", "guess", "list_runs", "read", "simulate"]
 
 
 def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
@@ -69,24 +67,23 @@ def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
 
 
 def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = None, *, rig: RigLike | None = None,
-           starts: Runs = (), samples: int = 0, seed: int = 1, servo: str = "", rate_hz: float | None = None,
-           damaged: bool = False) -> Written:
+           starts: Runs = (), samples: int = 0, seed: int = 1, rate_hz: float | None = None, damaged: bool = False
+           ) -> Written:
     """Write a model, or a run, in another format, as `legid export`; `notes` of what it returns say what is not held.
 
-    A run as csv, parquet or mat; a model as mjcf, urdf, mujoco or learning. `to` is by default what the ending of `out`
-    tells; mujoco and learning are folders. A run file goes to ros2, too, at its devices' own rates.
+    A run as csv, parquet or mat; a model as mjcf, urdf or mujoco. `to` is by default what the ending of `out` tells;
+    mujoco is a folder. A run file goes to ros2, too, at its devices' own rates.
 
     - `rig`: with urdf, whose limits the joints get; with `starts`, that of the runs; of a run file, its own.
-    - `starts`: with mujoco, runs whose first states leg.xml keeps; with learning, runs that measure what is lost.
-    - `samples`: with mujoco, so many models more, drawn by the joint covariance from `seed`. `servo`: with learning,
-      the actuator as BAM names it.
+    - `starts`: with mujoco, runs whose first states leg.xml keeps.
+    - `samples`: with mujoco, so many models more, drawn by the joint covariance from `seed`.
     - `rate_hz`: samples per second of a run file, by default the rig's; `damaged`: also of one that lacks something.
 
     Raises `InputError` for what the format cannot hold or take.
     """
-    kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed, servo=servo)
+    kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed)
     given = as_runs(starts)
-    check_wanted(kind, wanted, bool(given))
+    check_wanted(kind, bool(given), samples)
     if isinstance(what, PlainDataset if kind in OF_MODELS else Model):
         raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
                          f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")
@@ -140,20 +137,6 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[s
         return Dataset.of(run)
     chosen = as_rig(rig)
     return Dataset.of(run, chosen.rig, rig_source=chosen.source)
-
-
-def gains(model: ModelLike, angle_rad: float = 0.05, speed_radps: float = 1.0, torque_nm: float = 1.0,
-          delay_s: float = 0.002) -> Gains:
-    """Feedforward and PD gains of a model's driven joint, with the margins of the whole leg.
-
-    An LQR about hanging by Bryson's rule: errors of the angle [rad] and speed [rad/s] and the torque [N m] are weighed
-    by what is tolerated of each; `delay_s` is everything that is late in the loop [s]. Raises `InputError` for a model
-    without one driven joint, `WorkError` where the loop would not be stable.
-    """
-    wanted, given = Tolerances(angle_rad, speed_radps, torque_nm, delay_s), as_model(model, "the model")
-    left_out = [*(effect.name for effect in given.model.effects), *(["structure"] if given.model.structure else [])]
-    return Gains(gains_of(given.model, given.where, wanted), wanted, tuple(left_out),
-                 origin_from((), model=given.source))
 
 
 def effects() -> Effects:

@@ -14,7 +14,7 @@ from experiments.models import Model
 from experiments.provenance import Origin
 from experiments.reports import segment_table, whole_validation_text, write_validation
 from experiments.workflows import ValidationReport, compared_text
-from legid.tables import Shown, columns, frame, html_table, kept_with, paragraphs
+from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,5 +123,4 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
         return f"{self.trust}\n\n{segment_table(self.runs).text}"
 
     def _repr_html_(self) -> str:
-        table = segment_table(self.runs)
-        return paragraphs(self.headline.told) + html_table(table.header, table.rows)
+        return paragraphs(self.headline.told) + tables_html(segment_table(self.runs))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.console import command_line, work_bar, write_json
 from experiments.provenance import origin_of
-from experiments.reports import write_markdown, write_page
+from experiments.reports import write_page
 from experiments.workflows import choose_executor
 from studies.biped3 import (
     CASES,
@@ -42,13 +42,11 @@ def run(args: argparse.Namespace) -> int:
     wall_s = time.perf_counter() - started
     print(study_text(table, wall_s))
     here = machine()
-    page = "Simulation study of the three-link walker", study_summary(table), study_sections(table, here, args.note)
-    write_page(folder / "report.html", *page)
+    write_page(folder / "report.html", "Simulation study of the three-link walker", study_summary(table),
+               study_sections(table, here, args.note))
     write_parquet(folder / "runs.parquet", results, motor_mechanism().names)
     if args.json:
         write_json(args.json, {**table_document(table, wall_s, here),
                                "provenance": origin_of(seed=args.seed, command=command_line())})
-    if args.markdown:
-        write_markdown(args.markdown, *page)
     print(f"\nreport: {folder / 'report.html'}\nall runs: {folder / 'runs.parquet'}")
     return 0

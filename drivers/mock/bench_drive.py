@@ -71,10 +71,6 @@ class BenchDrive(ABC):
     def _check(self, t_ns: int) -> None:
         """What is due by the clock or by a limit: watchdog, faults, frames that come unasked."""
 
-    def _compensation_nm(self) -> float:
-        """Joint torque that the drive adds to the one asked for [N m]."""
-        return 0.0
-
     # -- chunks --------------------------------------------------------------------------------------------
 
     def receive(self, data: Any, t_ns: int) -> None:
@@ -119,7 +115,7 @@ class BenchDrive(ABC):
         if self.alive and self.powered:
             self._now_ns = t0_ns
             self._check(t0_ns)
-        asked = self.torque_nm * self.wiring.turns + self._compensation_nm() if self.powered else 0.0
+        asked = self.torque_nm * self.wiring.turns if self.powered else 0.0
         return self.settings.torque_gain * self.stage_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
 
     def observe(self, segment: Segment) -> None:

@@ -54,8 +54,6 @@ COMMAND: dict[int, float] = {
     Register.KP_SCALE: 1.0, Register.KD_SCALE: 1.0, Register.MAXIMUM_TORQUE: math.nan,
     Register.STOP_POSITION: math.nan, Register.WATCHDOG_TIMEOUT: 0.0, Register.ILIMIT_SCALE: 1.0}
 """What a command is where it leaves a register out."""
-COGGING = 1024
-"""Entries of `motor.cogging_dq_comp`, over a turn of the rotor."""
 OVER_VOLTAGE, ENCODER, OVER_TEMPERATURE, UNDER_VOLTAGE, DRIVER = 34, 35, 38, 40, 33
 
 
@@ -76,17 +74,12 @@ class MockMoteus(BenchDrive):
                        "servo.max_current_A": current, "servo.max_velocity": settings.speed_limit_radps
                        * abs(wiring.turns) / (2.0 * math.pi), "servopos.position_min": math.nan,
                        "servopos.position_max": math.nan, "servo.enable_motor_temperature": 1.0,
-                       "servo.pid_position.kp": 4.0, "servo.pid_position.kd": 0.05,
-                       "motor_position.rotor_to_output_ratio": 1.0, "motor_position.output.offset": 0.0,
-                       "motor_position.output.sign": 1.0, "motor.cogging_dq_scale": 0.0,
-                       **{f"motor.cogging_dq_comp.{k}": 0.0 for k in range(COGGING)}}
+                       "servo.pid_position.kp": 4.0, "servo.pid_position.kd": 0.05}
         """What `conf get` says. Its default for timeout_mode is 12; this one was set up for legid."""
         self._command: dict[int, float] = dict(COMMAND)
         self._deadline_ns = math.inf
         self._console_in = self._console_out = b""
         self._kept: dict[int, float] = {}
-        self._saved = dict(self.config)
-        """By `conf write`: what it has after a loss of supply."""
 
     # -- frames --------------------------------------------------------------------------------------------
 
@@ -220,18 +213,6 @@ class MockMoteus(BenchDrive):
         if self.mode == TIMEOUT and self.config["servo.timeout_mode"] in (ZERO_VELOCITY, POSITION):
             self.torque_nm = -self.config["servo.pid_position.kd"] * self.turns_per_s
 
-    def _compensation_nm(self) -> float:
-        """In position mode: the current of its cogging table at the rotor's angle, between two entries in a line."""
-        c = self.config
-        if self.mode != POSITION or not c["motor.cogging_dq_scale"] or math.isnan(self.turns):
-            return 0.0
-        turned = self.turns * c["motor_position.output.sign"] - c["motor_position.output.offset"]
-        place = turned / c["motor_position.rotor_to_output_ratio"] % 1.0 * COGGING
-        left = int(place) % COGGING
-        a, b = (c[f"motor.cogging_dq_comp.{k % COGGING}"] for k in (left, left + 1))
-        current = c["motor.cogging_dq_scale"] * (a + (b - a) * (place - int(place)))
-        return math.copysign(current, current * self.wiring.turns) * self.settings.torque_constant_nm_per_a
-
     def _cause(self) -> int:
         s = self.settings
         checks = ((not self.driver_ok, DRIVER), (self.bus_v > s.overvoltage_v, OVER_VOLTAGE),
@@ -248,9 +229,6 @@ class MockMoteus(BenchDrive):
             elif words[:2] == ["conf", "set"] and len(words) == 4 and words[2] in self.config:
                 self.config[words[2]] = float(words[3])
                 self._console_out += b"OK\r\n"
-            elif words == ["conf", "write"]:
-                self._saved = dict(self.config)
-                self._console_out += b"OK\r\n"
             elif words == ["d", "stop"]:
                 self._set_mode(STOPPED, {}, self._now_ns)
                 self._console_out += b"OK\r\n"
@@ -260,7 +238,6 @@ class MockMoteus(BenchDrive):
     def power_cycle(self) -> None:
         super().power_cycle()
         self.mode, self.fault, self._command = STOPPED, 0, dict(COMMAND)
-        self.config = dict(self._saved)
 
 
 def emulate(settings: FirmwareSettings, wiring: Wiring, seed: int, t_ns: int, advance: Callable[[int], None],

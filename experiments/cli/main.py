@@ -24,8 +24,8 @@ GROUPS = {
     "set up": ("init", "doctor", "calibrate", "demo", "emulate"),
     "record": ("excite", "record", "live", "info", "runs", "recover", "import_", "export"),
     "model": ("fit", "tune", "validate", "compare", "diagnose", "effects"),
-    "use": ("simulate", "gains", "compensate"),
-    "check the program": ("verify", "casebook", "monte_carlo", "completion")}
+    "use": ("simulate",),
+    "check the program": ("verify", "casebook", "monte_carlo")}
 """Heading of `legid --help` -> modules of the folder in their order; others come last, under MORE."""
 MORE = "more"
 TRACEBACK = "LEGID_TRACEBACK"
@@ -97,7 +97,7 @@ def build_parser() -> Parser:
         for name in names:
             module = import_module(f"experiments.cli.commands.{name}")
             add_verbosity(module.COMMAND.add_to(subparsers)).set_defaults(run=module.run)
-        if names and "_ARGCOMPLETE" not in os.environ:  # a completion asks the parser for its commands alone
+        if names:
             line = subparsers._ChoicesPseudoAction(f"\n  {heading}:", (), None)
             subparsers._choices_actions.insert(before, line)
     return parser
@@ -134,12 +134,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 not possible on this data, 2 bad input."""
     name = "legid"
     try:
-        parser = build_parser()
-        if "_ARGCOMPLETE" in os.environ:
-            import argcomplete
-
-            argcomplete.autocomplete(parser)
-        args = parser.parse_args(argv)
+        args = build_parser().parse_args(argv)
         name = f"legid {args.command}"
         with replacing_anything(getattr(args, "force", False)), verbosity(getattr(args, "verbosity", USUAL)):
             started = time.monotonic()

@@ -5,10 +5,12 @@ from .change import ChangeDocument as ChangeDocument
 from .change import Differing as Differing
 from .change import Pair as Pair
 from .change import SessionsDocument as SessionsDocument
+from .change import Untestable as Untestable
 from .comparison import ComparisonDocument as ComparisonDocument
 from .comparison import ErrorPair as ErrorPair
 from .comparison import Value as Value
 from .diagnosis import DiagnosisDocument as DiagnosisDocument
+from .diagnosis import NotTestable as NotTestable
 from .diagnosis_parts import Learnt as Learnt
 from .diagnosis_parts import NamedCause as NamedCause
 from .diagnosis_parts import Pieces as Pieces

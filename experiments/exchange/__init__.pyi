@@ -1,4 +1,3 @@
-from .column_map import TIME as TIME
 from .column_map import ColumnMap as ColumnMap
 from .column_map import apply_map as apply_map
 from .column_map import check_map as check_map
@@ -16,7 +15,6 @@ from .imported import ImportedFile as ImportedFile
 from .reading import is_native as is_native
 from .reading import load_any_run as load_any_run
 from .reading import load_to_convert as load_to_convert
-from .reading import mapped as mapped
 from .reading import read_imported as read_imported
 from .ros2_export import export_ros2 as export_ros2
 from .units import si_unit as si_unit

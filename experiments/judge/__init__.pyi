@@ -1,5 +1,4 @@
 from .agreement import WIDENED as WIDENED
-from .agreement import disputed as disputed
 from .budget import LEAST_PART as LEAST_PART
 from .budget import PARTS_TOLD as PARTS_TOLD
 from .budget import parts_of as parts_of

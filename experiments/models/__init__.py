@@ -1,4 +1,4 @@
-"""Model files, models extended by effects, gains."""
+"""Model files, models extended by effects."""
 
 import lazy_loader
 

@@ -1,12 +1,6 @@
 from .effect_library import effects_document as effects_document
 from .effect_library import effects_text as effects_text
 from .effect_library import known_effects as known_effects
-from .gains import Gains as Gains
-from .gains import Tolerances as Tolerances
-from .gains import gain_rows as gain_rows
-from .gains import gains_document as gains_document
-from .gains import gains_of as gains_of
-from .gains import gains_text as gains_text
 from .mechanism_settings import build_mechanism as build_mechanism
 from .mechanism_settings import fitted_settings as fitted_settings
 from .mechanism_settings import mechanism_settings as mechanism_settings

@@ -7,7 +7,9 @@ from .change import write_change as write_change
 from .chart import Line as Line
 from .comparison import comparison_text as comparison_text
 from .comparison import write_comparison as write_comparison
+from .diagnosis_figures import ERRORS as ERRORS
 from .diagnosis_figures import error_bars as error_bars
+from .diagnosis_figures import paint_gains as paint_gains
 from .diagnosis_figures import signature_limits as signature_limits
 from .diagnosis_figures import signature_plot as signature_plot
 from .diagnosis_figures import trace_plot as trace_plot
@@ -24,6 +26,7 @@ from .figures import BLUE as BLUE
 from .figures import GREEN as GREEN
 from .figures import GREY as GREY
 from .figures import ORANGE as ORANGE
+from .figures import axis_label as axis_label
 from .figures import picture_lines as picture_lines
 from .figures import plot_lines as plot_lines
 from .figures import standalone as standalone
@@ -47,11 +50,8 @@ from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict
-from .markdown import write_markdown as write_markdown
-from .origin import Source as Source
 from .origin import model_with_origin as model_with_origin
 from .origin import origin_section as origin_section
-from .origin import source_of as source_of
 from .run_agreement import agreement_lines as agreement_lines
 from .run_info import describe_csv as describe_csv
 from .run_info import describe_mcap as describe_mcap

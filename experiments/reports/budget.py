@@ -8,8 +8,7 @@ import numpy as np
 
 from experiments.documents import FitDocument, finite
 from experiments.judge import LEAST_PART, PARTS_TOLD, number, source_words
-from experiments.reports.diagnosis_figures import ROW_IN, draw
-from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, finish
+from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, ROW_IN, draw, finish, name_rows
 from experiments.reports.html import Picture, Section, Table
 
 if TYPE_CHECKING:
@@ -75,10 +74,8 @@ def _bars(fit: FitDocument) -> str:
         for label, colour, width in bars:
             axes.barh(np.arange(len(shown)), width, 0.7, left=left, color=colour, label=label, zorder=2)
             left = left + width
-        axes.set_yticks(np.arange(len(shown)), [row.parameter.replace("_", " ") for row in shown])
-        axes.invert_yaxis()
+        name_rows(axes, [row.parameter.replace("_", " ") for row in shown])
         axes.set_xlim(0.0, 1.0)
-        axes.grid(visible=False, axis="y")
         finish(axes, len(bars), "share of the variance", "")
 
     return draw("budget", 1.4 + ROW_IN * len(shown), paint)

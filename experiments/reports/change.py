@@ -12,8 +12,8 @@ import numpy as np
 
 from experiments.documents import Answer, Candidate, Cause, ChangeDocument, Differing, SessionsDocument, finite
 from experiments.judge import Files, with_names
-from experiments.reports.diagnosis_figures import ROW_IN, draw
-from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
+from experiments.reports.diagnosis_text import untestable_section
+from experiments.reports.figures import BLUE, GREY, INK, ORANGE, ROW_IN, draw, finish, name_rows
 from experiments.reports.html import Picture, Section, Table, fold
 from experiments.reports.origin import write_result
 
@@ -114,14 +114,12 @@ def change_sections(found: Differing, several: bool = False) -> list[Section]:
     pictures = [Picture(change_plot(found, f"{a} {b}"), caption, leads=not several)] if drawn_changes(found) else []
     noise = [[n.column, f"{n.ratio:.3g}", " .. ".join(f"{finite(x):.3g}" for x in n.ci95), f"{n.p_value:.2g}"]
              for n in found.noise]
-    untested = [[one.effect if one.joint is None else f"{one.effect}, joint {one.joint}", one.why]
-                for one in found.not_testable]
     more = fold(
         Section("Noise", [f"Noise level of {b} over that of {a}, from neighbouring samples. p is over all columns."],
                 [Table(["column", "ratio", "95 % interval", "p"], noise, {1, 2, 3})]) if noise else None,
         Section("Smallest changes that would have shown", [structure_text(found)], [detectable_table(found)]
                 ) if found.candidates else None,
-        Section("What cannot be tested here", tables=[Table(["effect", "why"], untested)]) if untested else None,
+        untestable_section(found.not_testable),
         Section("Runs", tables=[Table(["session", "runs"], [[s.name, ", ".join(s.runs)] for s in found.sides])]))
     return [Section(f"From {a} to {b}", [found.sentence] if several else [],
                     [cause_table(found)] if found.causes else [], pictures,
@@ -163,7 +161,5 @@ def paint_changes(axes: Axes, some: Sequence[Candidate]) -> None:
     if np.abs(share).max(initial=0.0) > 5.0:
         axes.set_xscale("symlog", linthresh=1.0)
         axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_yticks(rows, [f"{label(d)}{f' {d.size_name}' if d.effect == 'parameter' else ''}".replace("_", " ")
-                           for d in some])
-    axes.invert_yaxis()
-    axes.grid(visible=False, axis="y")
+    name_rows(axes, [f"{label(d)}{f' {d.size_name}' if d.effect == 'parameter' else ''}".replace("_", " ")
+                     for d in some])

@@ -46,7 +46,6 @@ class Chart:
     time_s: FloatArray
     lines: Sequence[Line]
     y_label: str
-    x_label: str = "time [s]"
     group: str = "run"
     bands: Sequence[Band] = ()
     below: str = ""
@@ -66,9 +65,8 @@ class Chart:
             bands.append([len(lines) - 1, len(lines), f"{band.colour}33"])
         lines += [{"label": line.label, "colour": line.colour, "width": line.width, "dashed": line.dashed,
                    "below": line.below, "values": _numbers(line.values[part])} for line in self.lines]
-        document = {"x": self.x_label, "y": self.y_label, "group": self.group, "below": self.below, "bands": bands,
-                    "range": self.y_range,
-                    "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
+        document = {"x": "time [s]", "y": self.y_label, "group": self.group, "below": self.below, "bands": bands,
+                    "range": self.y_range, "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
         return Markup(msgspec.json.encode(document).decode().replace("<", "\\u003c"))
 
 

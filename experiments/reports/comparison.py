@@ -12,8 +12,18 @@ from estimator.prediction import PredictionTable
 from experiments.documents import ComparisonDocument, ErrorPair, Value, finite
 from experiments.judge import NAMES, Estimate, horizon_text, number
 from experiments.reports.chart import Line
-from experiments.reports.diagnosis_figures import axis_label, draw
-from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
+from experiments.reports.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HEIGHT_IN,
+    INK,
+    ORANGE,
+    axis_label,
+    draw,
+    finish,
+    picture_lines,
+)
 from experiments.reports.html import Picture, Section, Table, fold
 from experiments.reports.origin import write_result
 

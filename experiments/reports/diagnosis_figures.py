@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,52 +20,54 @@ from experiments.reports.figures import (
     HEIGHT_IN,
     INK,
     ORANGE,
+    ROW_IN,
+    axis_label,
     blank_figure,
+    draw,
     finish,
+    name_rows,
     to_svg,
     window,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.container import BarContainer
 
-ROW_IN = 0.3
+ERRORS = "rms error, in multiples of what noise alone leaves"
+"""Label of the axis of `paint_gains`."""
+
 TRACE_SECONDS = 12.0
 CROWDED = 0.15
 """Share of the range within which half of all bins must lie for an axis to be scaled about zero."""
 Limits = tuple[float, float]
 
 
-def draw(name: str, height_in: float, paint: Callable[[Axes], None]) -> str:
-    """One set of axes as an `<svg>` element; `name` keeps its identifiers apart from those of other figures."""
-    with blank_figure(name, height_in) as figure:
-        paint(figure.add_subplot())
-        return to_svg(figure)
-
-
 def error_bars(sensors: Mapping[str, SensorGain]) -> str:
     """Free-run error of each sensor in multiples of its own floor: nominal, extended, noise alone."""
-    names = list(sensors)
-    kinds = [("nominal", BLUE, [sensors[n].before for n in names]),
-             ("extended", ORANGE, [sensors[n].after for n in names]),
-             ("noise alone", GREY, [sensors[n].floor for n in names])]
-    floor = np.array([max(sensors[n].floor, 1e-300) for n in names])
-
     def paint(axes: Axes) -> None:
-        rows = np.arange(len(names), dtype=float)
-        for k, (label, colour, values) in enumerate(kinds):
-            share = np.array(values) / floor
-            share[np.isinf(share)] = np.nan  # the simulation diverges: no bar
-            bars = axes.barh(rows + 0.27 * (k - 1), share, 0.25, color=colour, label=label, zorder=2)
+        for bars, values in paint_gains(axes, sensors):
             labels = ["diverged" if np.isinf(value) else f"{value:.2g}" for value in values]
             axes.bar_label(bars, labels, padding=3, fontsize=9.0)
-        axes.set_yticks(rows, names)
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
         axes.margins(x=0.12)
-        finish(axes, len(kinds), "rms error, in multiples of what noise alone leaves", "")
+        finish(axes, 3, ERRORS, "")
 
-    return draw("errors", 0.9 + 0.75 * len(names), paint)
+    return draw("errors", 0.9 + 0.75 * len(sensors), paint)
+
+
+def paint_gains(axes: Axes, sensors: Mapping[str, SensorGain]) -> list[tuple[BarContainer, list[float]]]:
+    """The bars of all sensors and their errors, of the nominal model, the extended one and noise alone."""
+    out = []
+    floor = np.array([max(gain.floor, 1e-300) for gain in sensors.values()])
+    for k, (label, colour, which) in enumerate(
+            (("nominal", BLUE, "before"), ("extended", ORANGE, "after"), ("noise alone", GREY, "floor"))):
+        values = [getattr(gain, which) for gain in sensors.values()]
+        share = np.array(values) / floor
+        share[np.isinf(share)] = np.nan  # the simulation diverges: no bar
+        out.append((axes.barh(np.arange(len(sensors)) + 0.27 * (k - 1), share, 0.25, color=colour, label=label,
+                              zorder=2), values))
+    name_rows(axes, list(sensors))
+    return out
 
 
 def waterfall(budget: Sequence[Share]) -> str:
@@ -85,10 +88,8 @@ def waterfall(budget: Sequence[Share]) -> str:
                 right, top = max(right, low, high), begin
             axes.annotate(f"{100 * share:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
                           textcoords="offset points")
-        axes.set_yticks(range(len(budget)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
-                                             (f" at joint {r.joint}" if r.joint else "") for r in budget])
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
+        name_rows(axes, [names.get(r.what) or (r.effect or "").replace("_", " ") +
+                         (f" at joint {r.joint}" if r.joint else "") for r in budget])
         axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
         axes.set_xlabel("mean squared error [%]")
@@ -98,15 +99,18 @@ def waterfall(budget: Sequence[Share]) -> str:
 
 def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:
     """(x label, y label) -> limits that hold all signatures with these axes, so that they can be compared."""
-    found: dict[tuple[str, str], tuple[Limits, Limits]] = {}
+    alike = defaultdict[tuple[str, str], list[Signature]](list)
     for s in signatures:
-        key = s.x_label, s.y_label
-        low = min(float(np.min(s.before - s.before_error)), float(np.min(s.curve)), float(np.min(s.after)))
-        high = max(float(np.max(s.before + s.before_error)), float(np.max(s.curve)), float(np.max(s.after)))
-        x, y = (float(s.x.min()), float(s.x.max())), (low, high)
-        old_x, old_y = found.get(key, (x, y))
-        found[key] = (min(x[0], old_x[0]), max(x[1], old_x[1])), (min(y[0], old_y[0]), max(y[1], old_y[1]))
-    return found
+        alike[s.x_label, s.y_label].append(s)
+    return {key: (_limits(s.x for s in own), _limits(
+        values for s in own for values in (s.before - s.before_error, s.before + s.before_error, s.curve, s.after)))
+        for key, own in alike.items()}
+
+
+def _limits(curves: Iterable[FloatArray]) -> Limits:
+    """Smallest and largest value of all."""
+    every = np.concatenate([*curves])
+    return float(every.min()), float(every.max())
 
 
 def signature_plot(s: Signature, limits: tuple[Limits, Limits]) -> str:
@@ -160,12 +164,6 @@ def trace_chart(trace: Trace, column: str) -> Chart:
         Line("nominal less measured", before - measured, GREEN, 1.0, below=True),
         Line("extended less measured", after - measured, ORANGE, 1.0, below=True)], axis_label(column),
         below=f"error of {axis_label(column)}")
-
-
-def axis_label(column: str) -> str:
-    """`q2 [rad]` of `q2_rad`."""
-    name, _, unit = column.rpartition("_")
-    return f"{name} [{unit.replace('radps', 'rad/s').replace('mps2', 'm/s²')}]"
 
 
 def heat_map(labels: Sequence[str], cosines: FloatArray) -> str:

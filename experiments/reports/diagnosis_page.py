@@ -45,6 +45,7 @@ from experiments.reports.diagnosis_text import (
     size_table,
     size_text,
     small_table,
+    untestable_section,
 )
 from experiments.reports.figures import on_paper
 from experiments.reports.html import Picture, Section, Table, fold
@@ -86,7 +87,7 @@ def diagnosis_sections(found: DiagnosisDocument, kept: Diagnosis | None = None) 
     """All sections, folded, in the order of the questions; those that have nothing to show are left out. Curves over
     time and space come from the result that was `kept`. One figure leads the page."""
     kept = kept or Diagnosis(found.verdict, found.sentence)
-    small, untestable = small_table(found), found.not_testable
+    small = small_table(found)
     uses = {"fitted; all causes were chosen by them": found.runs.fit,
             "held out until the causes were chosen": found.runs.confirm}
     return fold(
@@ -97,8 +98,7 @@ def diagnosis_sections(found: DiagnosisDocument, kept: Diagnosis | None = None) 
         _candidates(found, kept), _signatures(kept), _traces(found, kept), _separability(kept),
         _parameters(found, kept), Section("Next experiment", [*filter(None, [found.next_experiment])]),
         _ruled_out(found),
-        Section("What cannot be tested here", (), [Table(["effect", "why"], [
-            [effect_label(one.effect, one.joint), one.why] for one in untestable])] if untestable else ()),
+        untestable_section(found.not_testable),
         Section("Runs", [*filter(None, [hold_words(found)])], [Table(["use", "runs"], [
             [use, ", ".join(names)] for use, names in uses.items() if names])] if any(uses.values()) else ()))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import inf, isfinite, isinf
 
 from msgspec import UNSET
@@ -12,16 +12,18 @@ from estimator.diagnosis import SensorGain
 from experiments.documents import (
     DiagnosisDocument,
     NamedCause,
+    NotTestable,
     Number,
     Pieces,
     Scored,
+    Untestable,
     contract_joint,
     finite,
     gains_of,
     split_key,
 )
 from experiments.judge import Files, normal, number, with_names
-from experiments.reports.html import Table
+from experiments.reports.html import Section, Table
 from experiments.reports.structure import USE, structure_table, structure_words
 
 RUNNERS_UP = 5
@@ -62,6 +64,12 @@ def size_text(candidate: Scored) -> str:
 def detectable_text(candidate: Scored) -> str:
     """The smallest size that these runs would have shown."""
     return "none" if candidate.smallest_detectable is None else f"{candidate.smallest_detectable:.2g}"
+
+
+def untestable_section(found: Sequence[NotTestable | Untestable]) -> Section:
+    """Effects that the runs cannot show; empty without any."""
+    return Section("What cannot be tested here", (), [Table(["effect", "why"], [
+        [effect_label(one.effect, one.joint), one.why] for one in found])] if found else ())
 
 
 def candidate_label(candidate: Scored) -> str:

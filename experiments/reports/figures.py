@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 INK, GRID = "#010203", "#040506"
 """Stand-ins that `_themed` turns into the page's own colours."""
 BLUE, ORANGE, GREEN, GREY = "#3d85c6", "#e06c1f", "#2f9e62", "#8a8f98"
-WIDTH_IN, HEIGHT_IN = 4.6, 2.4
-"""So narrow that its letters can be read across a phone."""
+WIDTH_IN, HEIGHT_IN, ROW_IN = 4.6, 2.4, 0.3
+"""So narrow that its letters can be read across a phone; a row is one name's."""
+UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C", "v": "V"}
 LETTERS, MARK = 54, 5
 """What fits into one line of a legend, and what an entry's mark takes of it."""
 STYLE: dict[Any, Any] = {
@@ -87,17 +88,24 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
         return to_svg(figure)
 
 
-def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label: str, name: str) -> str:
-    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element; `name` keeps its
-    identifiers apart from those of other figures."""
-    with blank_figure(name) as figure:
-        axes = figure.add_subplot()
-        axes.axhspan(-band, band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
-        axes.vlines(x, 0.0, y, color=BLUE, linewidth=1.4)
-        axes.plot(x, y, "o", color=BLUE, markersize=3.0)
-        axes.axhline(0.0, color=INK, linewidth=0.6)
-        finish(axes, 1, x_label, y_label)
+def draw(name: str, height_in: float, paint: Callable[[Axes], None]) -> str:
+    """One set of axes as an `<svg>` element; `name` keeps its identifiers apart from those of other figures."""
+    with blank_figure(name, height_in) as figure:
+        paint(figure.add_subplot())
         return to_svg(figure)
+
+
+def axis_label(column: str) -> str:
+    """`q2 [rad]` of `q2_rad`."""
+    name, _, unit = column.rpartition("_")
+    return f"{name} [{UNITS.get(unit, unit)}]" if name else column
+
+
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """One row for each name, from the top, without lines between them."""
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
 
 
 def finish(axes: Axes, entries: int, x_label: str, y_label: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from experiments.judge import (
 )
 from experiments.reports.budget import budget_section
 from experiments.reports.chart import Line
-from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points
+from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, draw, finish, picture_lines
 from experiments.reports.fit_text import (
     VOLTS,
     noise_rows,
@@ -38,6 +39,9 @@ from experiments.reports.prior_knowledge import knowledge_section, prior_sentenc
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
 from experiments.reports.sketch import sketch_pictures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -79,8 +83,12 @@ def fit_sections(fit: FitDocument, result: FitResult | None, benchmark: FitResul
 
     The parameters stand open, the rest is folded; the torque of the last joint with a motor leads the page.
     """
-    drawn = [] if result is None else [_sensors_section(result), _torques(result, benchmark), _residuals(result)]
-    return [_parameters(fit, result), *fold(
+    path = max(result.trajectories if result else (), key=lambda t: t.time_s.shape[0], default=None)
+    drawn, sketch = list[Section | None](), list[Picture]()
+    if result is not None and path is not None:  # the longest motion
+        drawn = [_sensors_section(result, path), _torques(result, path, benchmark), _residuals(result)]
+        sketch = sketch_pictures(result.mechanism, path.q, path.time_s, path.run)
+    return [Section("Parameters", [], [parameter_table(fit)], sketch), *fold(
         budget_section(fit), knowledge_section(fit), agreement_section(fit), opinion_section(fit), *drawn, _noise(fit),
         _limits(fit))]
 
@@ -101,23 +109,8 @@ def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Ma
         folded=True)
 
 
-def _parameters(fit: FitDocument, result: FitResult | None) -> Section:
-    """With the mechanism in the run that the figures show."""
-    path = _first(result)
-    sketch = [] if path is None or result is None else sketch_pictures(result.mechanism, path.q, path.time_s, path.run)
-    return Section("Parameters", [], [parameter_table(fit)], sketch)
-
-
-def _first(result: FitResult | None) -> Trajectory | None:
-    """The longest motion; None without any."""
-    return max(result.trajectories if result else (), key=lambda t: t.time_s.shape[0], default=None)
-
-
-def _sensors_section(result: FitResult) -> Section | None:
+def _sensors_section(result: FitResult, path: Trajectory) -> Section | None:
     """What the sensors said, and what they should have said along the estimated motion."""
-    path = _first(result)
-    if path is None:
-        return None
     pictures = []
     for column, measured in path.measured.items():
         if column not in path.predicted or not column.startswith(("gyro", "accel", "q")):
@@ -137,11 +130,8 @@ def _sensors_section(result: FitResult) -> Section | None:
                    ) if pictures else None
 
 
-def _torques(result: FitResult, benchmark: FitResult | None) -> Section | None:
+def _torques(result: FitResult, path: Trajectory, benchmark: FitResult | None) -> Section:
     """Measured torque against the model's; the pivot's must be zero."""
-    path = _first(result)
-    if path is None:
-        return None
     other = _benchmark_torque(benchmark, path)
     pictures = []
     force = result.mechanism.force_unit
@@ -213,8 +203,10 @@ def _residuals(result: FitResult) -> Section | None:
     force = [c for c in auto if any(c.what == f"torque {j + 1}" for j in result.mechanism.actuated)]
     pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}, less what a right model "
                              "leaves; the band holds 99 % of that.") for c in (force or auto)]
-    pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
-                              "holds 99 % of it if they are independent.") for c in _leading(cross)]
+    if cross:
+        c = max(cross, key=lambda one: one.largest / max(one.band, 1e-12))  # furthest out of its band
+        pictures.append(_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The "
+                                     "band holds 99 % of it if they are independent."))
     return Section(
         "Residuals: white, and independent of the input?",
         [f"Measured less estimated, at lags up to {RESIDUAL_LAGS} samples. One lag in a hundred lies outside its "
@@ -225,13 +217,16 @@ def _residuals(result: FitResult) -> Section | None:
         [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, {1, 2, 3})], pictures)
 
 
-def _leading(cross: Sequence[Correlation]) -> Sequence[Correlation]:
-    """The one that stands furthest out of its band."""
-    return sorted(cross, key=lambda c: -c.largest / max(c.band, 1e-12))[:1]
-
-
 def _correlation(c: Correlation, caption: str) -> Picture:
-    return Picture(plot_points(c.lags, c.values, c.band, "lag [samples]", "correlation", c.what), caption)
+    """Stems over the band."""
+    def paint(axes: Axes) -> None:
+        axes.axhspan(-c.band, c.band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
+        axes.vlines(c.lags, 0.0, c.values, color=BLUE, linewidth=1.4)
+        axes.plot(c.lags, c.values, "o", color=BLUE, markersize=3.0)
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        finish(axes, 1, "lag [samples]", "correlation")
+
+    return Picture(draw(c.what, HEIGHT_IN, paint), caption)
 
 
 def _noise(fit: FitDocument) -> Section:

@@ -37,48 +37,38 @@ def parameter_table(fit: FitDocument) -> Table:
 OF_THE_FIRST_LINE = ("not_converged", "undetermined")
 """Kinds of faults that the first line says in full."""
 VOLTS = "The input is a voltage: every parameter is in volt units."
-NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps2": "accelerometer x",
-               "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
-               "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
-OF_ONE_JOINT = re.compile(r"(torque|encoder)([0-9]+)_(?:nm|rad)")
-OF_UNSEEN = re.compile(r"unseen([0-9]+)_nm")
-OF_DISTURBANCE = re.compile(r"disturbance([0-9]+)_(nm|s)")
-OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
+CHANNEL = re.compile(r"([a-z]+?)([0-9]*)((?:_[xy])?)_(radps|mps2|nm|rad|s)")
+"""Kind, number of one of several, axis and unit of a noise channel."""
 
 
 def noise_rows(fit: FitDocument) -> list[list[str]]:
     """(channel, level, unit) of each noise level. A common level is left out if each of its sensors has its own."""
     rows, levels = [], fit.levels
+    numbered = {found[1] for found in map(CHANNEL.fullmatch, levels) if found and found[2]}
     for name, level in levels.items():
-        told, unit = _channel(fit, name)
-        several = any(map(OF_ONE_IMU.fullmatch, levels))
         if not ((name.endswith("_mps2") and name.replace("_mps2", "_x_mps2") in levels)
-                or (several and name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"))
-                or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, levels)))):
+                or (name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2") and numbered & {"gyro", "accel"})
+                or (name == "torque_nm" and numbered & {"torque", "encoder"})):
+            told, unit = _channel(fit, name)
             rows.append([told, f"{level:.3g}", unit])
     return rows
 
 
 def _channel(fit: FitDocument, name: str) -> tuple[str, str]:
     """A noise channel in words, and its unit."""
-    force, length = fit.force_unit, fit.length_unit
-    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
-             "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
-    disturbance = OF_DISTURBANCE.fullmatch(name)
-    if disturbance:
-        told, unit = {"nm": ("disturbance", force), "s": ("its time constant", "s")}[disturbance[2]]
-        return (f"{told} of joint {disturbance[1]}" if disturbance[2] == "nm" else told), unit
-    unseen = OF_UNSEEN.fullmatch(name)
-    if unseen:
-        return f"torque {unseen[1]} between samples", force
-    joint = OF_ONE_JOINT.fullmatch(name)
-    if joint:
-        return f"{joint[1]} {joint[2]}", units[f"{joint[1]}_{'nm' if joint[1] == 'torque' else 'rad'}"]
-    imu = OF_ONE_IMU.fullmatch(name)
-    if imu:
-        told, unit = (part[imu[1] + (imu[3] or "") + imu[4]] for part in (NOISE_NAMES, units))
-        return f"{told} of IMU {imu[2]}", unit
-    return NOISE_NAMES.get(name, name), units.get(name, "")
+    found = CHANNEL.fullmatch(name)
+    if found is None:
+        return {"accel_correlation": ("their correlation, as given", ""),
+                "passive_joint_nm": ("passive joint, model error", fit.force_unit)}.get(name, (name, ""))
+    kind, number, axis, unit = found.groups()
+    told = f"{'accelerometer' if kind == 'accel' else kind}{axis.replace('_', ' ')}"
+    if kind == "disturbance":
+        told = "its time constant" if unit == "s" else f"disturbance of joint {number}"
+    elif kind == "unseen":
+        told = f"torque {number} between samples"
+    elif number:
+        told += f" {number}" if kind in ("torque", "encoder") else f" of IMU {number}"
+    return told, {"radps": "rad/s", "mps2": "m/s^2", "nm": fit.force_unit, "rad": fit.length_unit, "s": "s"}[unit]
 
 
 def run_noise_lines(fit: FitDocument) -> list[str]:

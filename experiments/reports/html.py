@@ -17,9 +17,9 @@ from functools import lru_cache
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
+from markupsafe import Markup, escape
 
 from experiments.console import text_table, write_text
 from experiments.judge import Headline
@@ -34,9 +34,6 @@ PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%",
 
 WHOLE = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+|[\d.]+e-\d+")
 """What a browser would part at a hyphen, and a person reads or types as one."""
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,6 @@ class Picture:
     @property
     def markup(self) -> Markup:
         """The SVG as it goes into the page; it comes from `experiments.reports.figures`, never from a file."""
-        from markupsafe import Markup
-
         return Markup(self.svg)
 
 
@@ -131,24 +126,19 @@ def whole_options(escaped: str) -> str:
 
 def _prose(text: str) -> Markup:
     """Text as a page has it, in a paragraph or a cell."""
-    from markupsafe import Markup, escape
-
     return Markup(whole_options(str(escape(typeset(text)))))
 
 
 def _cell(text: str) -> Markup:
     """The same as one element: on a phone a cell lays out its children in a row."""
-    from markupsafe import Markup
-
     words = _prose(text)
     return Markup("<span>") + words + Markup("</span>") if "<span" in words else words
 
 
-def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
-                origin: Origin | None = None, verdict: Headline | None = None) -> str:
+def render_page(title: str, summary: str, sections: Sequence[Section], origin: Origin | None = None,
+                verdict: Headline | None = None) -> str:
     """The page as HTML text; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-    from markupsafe import Markup
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -159,7 +149,7 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
         picture.chart for picture in (*([lead] if lead else []), *(p for s in sections for p in s.pictures)))
     sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []
     css = Markup("\n".join([*sheets, environment.get_template("report.css").render()]))
-    stamp = (date or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC")
+    stamp = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     return environment.get_template("report.html").render(
         title=title, summary=summary, sections=sections, lead=lead, css=css, stamp=stamp, version=program_version(),
         meta=META, origin=None if origin is None else msgspec.json.encode(origin).decode(), verdict=verdict,
@@ -179,4 +169,4 @@ def _lead(sections: Sequence[Section]) -> tuple[list[Section], Picture | None]:
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],
                origin: Origin | None = None, verdict: Headline | None = None) -> None:
     """Render and write; `origin` goes into its head. Raises `InputError` where that place cannot be written."""
-    write_text(path, render_page(title, summary, sections, origin=origin, verdict=verdict))
+    write_text(path, render_page(title, summary, sections, origin, verdict))

@@ -15,8 +15,6 @@ from daq import Dataset
 from experiments.judge import Files, Headline, with_names
 from experiments.models import Model
 from experiments.provenance import Origin, origin_of
-from experiments.provenance import Source as Source
-from experiments.provenance import source_of as source_of
 from experiments.reports.html import Section, Table, write_page
 from experiments.session import damaged_runs
 

@@ -36,10 +36,9 @@ class _Cause(Struct):
     joint: int | None = None
 
 
-class _Diagnosis(Struct):
+class _Diagnosis(Struct, tag_field="schema", tag="legid.diagnosis/1"):
     """What is read of a diagnosis JSON; everything else in it is left alone."""
 
-    schema: str
     verdict: str
     causes: tuple[_Cause, ...] = ()
     runs: dict[str, tuple[str, ...]] = {}

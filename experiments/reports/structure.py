@@ -12,8 +12,7 @@ from estimator import TWO_SIDED
 from estimator.effects import Table as TorqueTable
 from estimator.prediction import LearntTorque, Structure, words_of
 from experiments.documents import DiagnosisDocument, Learnt, finite
-from experiments.reports.diagnosis_figures import draw
-from experiments.reports.figures import BLUE, HEIGHT_IN, INK, ORANGE, finish
+from experiments.reports.figures import BLUE, HEIGHT_IN, INK, ORANGE, draw, finish
 from experiments.reports.html import Picture, Section, Table
 
 BINS = 40

@@ -2,13 +2,11 @@ from . import devices as devices
 from .choice import ChosenRig as ChosenRig
 from .choice import choose_rig as choose_rig
 from .choice import rig_path as rig_path
-from .devices import connect as connect
 from .devices import open_devices as open_devices
 from .devices import open_imu as open_imu
 from .devices import open_sensors as open_sensors
 from .devices import wiring as wiring
 from .discovery import probe as probe
-from .estop import FLAG as FLAG
 from .estop import confirm_estop as confirm_estop
 from .questions import ask_facts as ask_facts
 from .robot_file import prior_table as prior_table

@@ -11,7 +11,6 @@ from .prepare import Prepared as Prepared
 from .prepare import Runs as Runs
 from .prepare import as_datasets as as_datasets
 from .prepare import prepare as prepare
-from .prepare import unzeroed as unzeroed
 from .runs import damaged_runs as damaged_runs
 from .runs import faulty_readings as faulty_readings
 from .runs import load_runs as load_runs

@@ -1,8 +1,5 @@
 from .folder import simulator_files as simulator_files
 from .folder import write_simulator as write_simulator
-from .learning import SIMULATORS as SIMULATORS
-from .learning import learning_files as learning_files
-from .learning import reduced as reduced
 from .mjcf import Start as Start
 from .mujoco_runs import ExportedLeg as ExportedLeg
 from .mujoco_runs import Piece as Piece

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,13 @@ class Code:
         self.said: list[str] = []
         self.constants: list[str] = []
         self.functions: list[str] = []
-        self.torque: dict[int, list[str]] = {}
+        self.torque = defaultdict[int, list[str]](list)
         """Lines that change what acts (`u1`, ...) of a driven joint, from 0."""
-        self.level: dict[int, list[str]] = {}
+        self.level = defaultdict[int, list[str]](list)
         """Terms of the joint's dry friction [N m]."""
-        self.taken: dict[int, list[str]] = {}
+        self.taken = defaultdict[int, list[str]](list)
         """Terms of the torque that the joint takes [N m]."""
-        self.read: dict[int, list[str]] = {}
+        self.read = defaultdict[int, list[str]](list)
         """Terms that its encoder adds."""
         self.felt: list[str] = []
         """Lines that change an IMU's readings."""
@@ -118,10 +119,10 @@ def _act(code: Code) -> list[str]:
         joint = parts.joints[j]
         lines.append(f"u{j + 1} = torque[{k}]" + (f" - {joint.offset!r}  # the torque that acts" if joint.offset
                                                   else ""))
-        lines += code.torque.get(j, [])
+        lines += code.torque[j]
         lines.append(f"d.ctrl[{k}] = u{j + 1}" + (f" + {joint.offset!r}" if joint.offset else ""))
         laws = " ".join(term for terms in (*code.level.values(), *code.taken.values()) for term in terms)
-        through = f"through{j + 1}" in " ".join(code.read.get(j, []))
+        through = f"through{j + 1}" in " ".join(code.read[j])
         if joint.delay_s and (f"u{j + 1}" in laws or through):
             lines.append(f"u{j + 1} = mujoco.mj_readCtrl(m, d, {k}, d.time, self.buffer, 1).item()"
                          + (f" - {joint.offset!r}" if joint.offset else ""))
@@ -162,18 +163,16 @@ def _encoders(code: Code, angles: tuple[str, ...]) -> list[str]:
     """Lines that read encoders, with what they read wrongly."""
     parts, lines = code.parts, []
     for j, joint in enumerate(parts.joints):
-        terms = code.read.get(j, [])
+        terms = code.read[j]
         used, dof = " ".join(terms), _dof(parts, j)
         if f"q{j + 1}" in used or f"through{j + 1}" in used:
             lines.append(f"q{j + 1} = d.qpos[{dof}]")
         if f"through{j + 1}" in used:
-            b = joint
             inertia = sum(e.sizes.get("motor_inertia", 0.0) for e in parts.left if e.joint == j + 1)
-            friction = f"{b.viscous!r} * v + {b.coulomb + sum(level for level, *_ in b.bristles)!r} * " \
-                       + _sign("v", b.smoothing)
+            friction = f"{joint.viscous!r} * v + {joint.dry!r} * {_sign('v', joint.smoothing)}"
             lines += [f"v = d.qvel[{dof}]", f"friction = {friction}",
                       f"through{j + 1} = self.acting{j + 1} - friction - {inertia!r} * d.qacc[{dof}]  # in the gear"]
-    cells = ", ".join(f'"{column}": float({" + ".join([f"d.sensordata[{j}]", *code.read.get(j, [])])})'
+    cells = ", ".join(f'"{column}": float({" + ".join([f"d.sensordata[{j}]", *code.read[j]])})'
                       for j, column in enumerate(angles))
     return [*lines, f"row = {{{cells}}}"]
 
@@ -197,10 +196,10 @@ def _structure(code: Code) -> None:
         j = torque.joint - 1
         code.say("structure", j, "torque by tables that a diagnosis learnt")
         if torque.constant:
-            code.taken.setdefault(j, []).append(repr(torque.constant))
+            code.taken[j].append(repr(torque.constant))
         for k, table in enumerate(torque.tables, 1):
             into = code.level if table.directed else code.taken
-            into.setdefault(j, []).append(_table(code, table, f"TABLE{j + 1}_{k}"))
+            into[j].append(_table(code, table, f"TABLE{j + 1}_{k}"))
 
 
 def _table(code: Code, table: TorqueTable, name: str) -> str:
@@ -219,11 +218,11 @@ def _table(code: Code, table: TorqueTable, name: str) -> str:
 
 
 BILINEAR = '''
+
 def bilinear(x: float, y: float, xs: np.ndarray, ys: np.ndarray, values: np.ndarray) -> float:
     """Value of a table at x, y; beyond its edges that of the edge."""
     return float(np.interp(y, ys, [np.interp(x, xs, column) for column in values.T]))
-'''.strip("\n").split("\n")
-BILINEAR = ["", "", *BILINEAR]
+'''.rstrip("\n").split("\n")
 
 
 def _saturation(code: Code, effect: EffectValue, at: list[int]) -> None:
@@ -231,7 +230,7 @@ def _saturation(code: Code, effect: EffectValue, at: list[int]) -> None:
     for j in at:
         code.say(effect.name, j, "the motor gives i / sqrt(1 + 2 c i^2) of a measured torque i")
         name, u = code.constant(f"SHORTFALL{j + 1}", c, "1/(N m)^2"), f"u{j + 1}"
-        lines = code.torque.setdefault(j, [])
+        lines = code.torque[j]
         if c > 0.0:
             most = (0.5 * (1.0 - MARGIN) / c) ** 0.5
             edge, slope = most / MARGIN**0.5, MARGIN**-1.5
@@ -246,7 +245,7 @@ def _stribeck(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, shape = at[0], effect.shapes
     code.say(effect.name, j, "dry friction is higher by F exp(-|v / v_s|^n) near standstill")
     f = code.constant(f"STRIBECK{j + 1}", effect.sizes["excess_torque"], "N m")
-    code.level.setdefault(j, []).append(
+    code.level[j].append(
         f"{f} * math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
 
 
@@ -255,25 +254,24 @@ def _load(code: Code, effect: EffectValue, at: list[int]) -> None:
     mu, joint = effect.sizes["load_coefficient"], parts.joints[j]
     code.say(effect.name, j, "dry friction grows by mu times the transmitted torque")
     name = code.constant(f"LOAD{j + 1}", mu, "1")
-    level = joint.coulomb + sum(b for b, *_ in joint.bristles)
     code.functions += [
         "", "", f"def load{j + 1}(u: float, sign: float) -> float:",
         '    """Further dry friction [N m] under the motor torque u, while the joint moves to the side `sign`."""',
-        f"    over = u * sign - {level!r}", "    load = math.sqrt(over * over + 1e-6)",
+        f"    over = u * sign - {joint.dry!r}", "    load = math.sqrt(over * over + 1e-6)",
         f"    return {name} * load / (1.0 + {min(max(mu, -0.9), 0.9)!r} * over / load)"]
-    code.level.setdefault(j, []).append(f"load{j + 1}(u{j + 1}, s{j + 1})")
+    code.level[j].append(f"load{j + 1}(u{j + 1}, s{j + 1})")
 
 
 def _load_more(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, shape = at[0], effect.shapes
     joint, size = code.parts.joints[j], effect.sizes["load_coefficient"]
-    load = f"math.hypot(u{j + 1} * s{j + 1} - {joint.coulomb + sum(b for b, *_ in joint.bristles)!r}, 1e-3)"
+    load = f"math.hypot(u{j + 1} * s{j + 1} - {joint.dry!r}, 1e-3)"
     if effect.name == "quadratic_load_friction":
         code.say(effect.name, j, "dry friction grows by k times the square of the transmitted torque")
-        code.level.setdefault(j, []).append(f"{code.constant(f'LOAD_SQUARED{j + 1}', size, '1/(N m)')} * {load} ** 2")
+        code.level[j].append(f"{code.constant(f'LOAD_SQUARED{j + 1}', size, '1/(N m)')} * {load} ** 2")
         return
     code.say(effect.name, j, "dry friction by load is higher by mu exp(-|v / v_s|^n) near standstill")
-    code.level.setdefault(j, []).append(
+    code.level[j].append(
         f"{code.constant(f'LOAD_AT_REST{j + 1}', size, '1')} * {load} "
         f"* math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
 
@@ -282,7 +280,7 @@ def _load_by_side(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, size, shape = at[0], effect.sizes, effect.shapes
     code.say(effect.name, j, "dry friction grows by k |(1 - s) tau_m - s tau_e|, tau_e the load's torque a step before")
     share, k = shape["load_share"], code.constant(f"LOAD_BY_SIDE{j + 1}", size["load_coefficient"], "1")
-    code.level.setdefault(j, []).append(
+    code.level[j].append(
         f"({k} + {size['coefficient_near_rest']!r} * math.exp(-(v{j + 1} / {shape['stribeck_velocity']!r}) ** 2)) "
         f"* math.hypot({1.0 - share!r} * u{j + 1} + {share!r} * float(d.qfrc_bias[{_dof(code.parts, j)}]), 1e-3)")
 
@@ -290,7 +288,7 @@ def _load_by_side(code: Code, effect: EffectValue, at: list[int]) -> None:
 def _drift(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, size = at[0], effect.sizes
     code.say(effect.name, j, "dry friction changes over the session and within each run")
-    code.level.setdefault(j, []).append(
+    code.level[j].append(
         f"({-size['change']!r} * math.expm1(-(self.session_s + d.time + ahead) / {effect.shapes['time_constant']!r})"
         f" + {size['change_per_minute_within_runs'] / 60.0!r} * (self.run_s + d.time + ahead))")
 
@@ -298,13 +296,13 @@ def _drift(code: Code, effect: EffectValue, at: list[int]) -> None:
 def _asymmetric(code: Code, effect: EffectValue, at: list[int]) -> None:
     j = at[0]
     code.say(effect.name, j, "half of the difference in viscous friction, B |v| / 2; leg.xml holds the rest")
-    code.taken.setdefault(j, []).append(f"{0.5 * effect.sizes['viscous_difference']!r} * s{j + 1} * v{j + 1}")
+    code.taken[j].append(f"{0.5 * effect.sizes['viscous_difference']!r} * s{j + 1} * v{j + 1}")
 
 
 def _drag(code: Code, effect: EffectValue, at: list[int]) -> None:
     j = at[0]
     code.say(effect.name, j, "a negative drag")
-    code.taken.setdefault(j, []).append(f"{effect.sizes['drag']!r} * v{j + 1} * abs(v{j + 1})")
+    code.taken[j].append(f"{effect.sizes['drag']!r} * v{j + 1} * abs(v{j + 1})")
 
 
 def _gear(code: Code, effect: EffectValue, at: list[int]) -> None:
@@ -312,13 +310,13 @@ def _gear(code: Code, effect: EffectValue, at: list[int]) -> None:
     code.say(effect.name, j, "the encoder on the motor reads the gear's twist under the torque through it")
     twist = f"{size['compliance']!r} * through{j + 1}" if effect.name == "joint_elasticity" else \
         f"{0.5 * size['gap']!r} * math.tanh(through{j + 1} / {effect.shapes['contact_torque']!r})"
-    code.read.setdefault(j, []).append(twist)
+    code.read[j].append(twist)
 
 
 def _encoder(code: Code, effect: EffectValue, at: list[int]) -> None:
     j, size = at[0], effect.sizes
     code.say(effect.name, j, "the encoder's error")
-    code.read.setdefault(j, []).append(
+    code.read[j].append(
         repr(size["offset"]) if effect.name == "encoder_offset" else
         f"{size['sine_amplitude']!r} * math.sin(q{j + 1}) + {size['cosine_amplitude']!r} * math.cos(q{j + 1})")
 

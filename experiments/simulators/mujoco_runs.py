@@ -1,13 +1,12 @@
-"""`simulate_run`: the exported folder of a model, run by MuJoCo from given states of a record."""
+"""`ExportedLeg`: the exported folder of a model, run by MuJoCo from given states of a record."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
+from runpy import run_path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +63,7 @@ class ExportedLeg:
         with tempfile.TemporaryDirectory() as folder:
             for name, text in files.texts.items():
                 (Path(folder) / name).write_text(text, encoding="utf-8")
-            self.module = _loaded(Path(folder) / "leg.py")
+            self.module = SimpleNamespace(**run_path(str(Path(folder) / "leg.py")))
             self.leg = _with_rates(self.module)
 
     def run(self, record: Record, piece: Piece, step_s: float) -> Mapping[str, FloatArray]:
@@ -75,19 +74,7 @@ class ExportedLeg:
         return found
 
 
-def _loaded(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("legid_exported_leg", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = before
-    return module
-
-
-def _with_rates(module: ModuleType) -> Any:
+def _with_rates(module: SimpleNamespace) -> Any:
     """A leg whose readings also have the joints' rates."""
 
     class WithRates(module.Leg):  # type: ignore[misc, name-defined]

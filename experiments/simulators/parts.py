@@ -51,6 +51,11 @@ class JointParts:
     further_level: float = 0.0
     """Dry friction near rest by effects that are left [N m]: how stiff friction may become."""
 
+    @property
+    def dry(self) -> float:
+        """Coulomb friction, what bristles take of it included [N m]."""
+        return self.coulomb + sum(level for level, *_ in self.bristles)
+
 
 @dataclass(frozen=True)
 class Stand:
@@ -107,12 +112,15 @@ def parts_of(model: Model, where: str) -> Parts:
             continue
         if effect.shapes.get("heard_by_loop") == 0.0:
             parts.notes.append(f"{effect.name} is of the log alone: a loop takes the joint's angle, not the encoder's")
-        hold = HELD.get(effect.name)
-        if hold is None and effect.name not in LEFT:
+        if effect.name not in (*ADDED, *HELD, *LEFT):
             raise InputError(where, f"has the effect {effect.name}, whose law is in a package of yours: no export "
                              "knows it", REMEDY)
-        own = [effect.joint - 1] if effect.joint else list(driven)
-        if hold is None or not hold(parts, effect, [joints[j] for j in own], own):
+        at = [effect.joint - 1] if effect.joint else list(driven)
+        own = [joints[j] for j in at]
+        for part, size in ADDED.get(effect.name, {}).items():
+            for joint in own:
+                setattr(joint, part, getattr(joint, part) + effect.sizes[size])
+        if effect.name in LEFT or (effect.name in HELD and not HELD[effect.name](parts, effect, own, at)):
             parts.left.append(effect)
     _rest(parts, where)
     return parts
@@ -143,34 +151,9 @@ def _rest(parts: Parts, where: str) -> None:
 Hold = Callable[[Parts, EffectValue, "list[JointParts]", "list[int]"], bool]
 
 
-def _stiffness(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].stiffness += effect.sizes["stiffness"]
-    joints[0].preload += effect.sizes["preload"]
-    return True
-
-
 def _drag(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
     joints[0].drag += max(effect.sizes["drag"], 0.0)
     return effect.sizes["drag"] >= 0.0
-
-
-def _rotor(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].armature += effect.sizes["inertia"]
-    return True
-
-
-def _gear(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    """Friction and inertia of the motor's side; the twist that the encoder reads is left."""
-    joints[0].viscous += effect.sizes["motor_viscous"]
-    joints[0].coulomb += effect.sizes["motor_coulomb"]
-    joints[0].armature += effect.sizes["motor_inertia"]
-    return False
-
-
-def _offset(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    for joint in joints:
-        joint.offset += effect.sizes["offset"]
-    return True
 
 
 def _delay(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
@@ -230,27 +213,27 @@ def _turn(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[
     return True
 
 
-def _scale(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].scale += effect.sizes["scale_error"]
-    return True
-
-
 def _levels(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
     joints[0].further_level += abs(next(iter(effect.sizes.values())))
     return False
 
 
+MOTOR_SIDE = {"viscous": "motor_viscous", "coulomb": "motor_coulomb", "armature": "motor_inertia"}
+ADDED: dict[str, dict[str, str]] = {
+    "joint_stiffness": {"stiffness": "stiffness", "preload": "preload"}, "rotor_inertia": {"armature": "inertia"},
+    "joint_elasticity": MOTOR_SIDE, "backlash": MOTOR_SIDE, "torque_offset": {"offset": "offset"},
+    "encoder_scale": {"scale": "scale_error"}}
+"""Effect to the number of a joint's parts that each of its sizes is added to."""
 HELD: dict[str, Hold] = {
-    "joint_stiffness": _stiffness, "quadratic_drag": _drag, "rotor_inertia": _rotor, "joint_elasticity": _gear,
-    "backlash": _gear, "torque_offset": _offset, "torque_delay": _delay, "sensor_time_skew": _skew,
-    "asymmetric_friction": _asymmetric, "end_stop_contact": _stop, "torque_ripple": _ripple,
-    "presliding_friction": _bristles, "base_compliance": _stand, "imu_lever_arm": _lever, "imu_misalignment": _turn,
-    "encoder_scale": _scale, "stribeck_friction": _levels, "friction_drift": _levels,
+    "quadratic_drag": _drag, "torque_delay": _delay, "sensor_time_skew": _skew, "asymmetric_friction": _asymmetric,
+    "end_stop_contact": _stop, "torque_ripple": _ripple, "presliding_friction": _bristles, "base_compliance": _stand,
+    "imu_lever_arm": _lever, "imu_misalignment": _turn, "stribeck_friction": _levels, "friction_drift": _levels,
     "load_dependent_friction": _levels, "load_stribeck_friction": _levels, "quadratic_load_friction": _levels,
     "directional_load_friction": _levels}
 """Effect to what makes parts of it; that returns whether nothing is left of it."""
-LEFT = ("torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias", "encoder_offset", "encoder_eccentricity")
-"""Effects of which no part holds anything."""
+LEFT = ("joint_elasticity", "backlash", "torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias",
+        "encoder_offset", "encoder_eccentricity")
+"""Effects that the module applies whatever the parts hold of them: a gear's twist, errors of readings."""
 OF_LOOP = ("command_delay", "gain_scale", "missing_integral", "input_limit", "supply_sag", "command_dead_band",
            "command_steps")
 """Effects of what makes the torque, which an export is given."""

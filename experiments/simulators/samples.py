@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,13 +19,12 @@ from msgspec import structs
 from daq import FloatArray, InputError, WorkError
 from estimator.effects import Effect
 from experiments.console import make_directory, write_text
-from experiments.models import EffectValue, Model, build_mechanism, known_effects, shapes_of, widening_of
+from experiments.models import Model, build_mechanism, effect_value, effects_of, widening_of
 from experiments.simulators.folder import simulator_files
 from experiments.simulators.parts import parts_of
 
 MOST_DRAWS = 1000
 """For one model; more of them cannot be is said."""
-Kinds = Mapping[str, type[Effect]]
 PARTS = ("viscous", "coulomb", "rotor")
 
 
@@ -55,8 +54,8 @@ class Samples:
 def draw_models(model: Model, where: str, count: int, seed: int) -> Samples:
     """`count` models by the covariance of `model`. Raises `InputError` for a model that states none, `WorkError` where
     hardly any draw is a leg."""
-    kinds = known_effects()
-    rng, middle, names = np.random.default_rng(seed), _values(model, kinds), _names(model, kinds)
+    effects, rng = effects_of(model), np.random.default_rng(seed)
+    middle = np.concatenate([np.array(model.beta), *[size for _, size in effects]])
     wide = np.array(widening_of(model))
     covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance], dtype=float)
     held = ~np.isfinite(np.diag(covariance))
@@ -72,8 +71,8 @@ def draw_models(model: Model, where: str, count: int, seed: int) -> Samples:
     redrawn = 0
     while len(rows) < count:
         values = middle + root @ rng.standard_normal(middle.size)
-        drawn = _with_values(model, values, kinds)
-        if _can_be(model, drawn, where, kinds):
+        drawn = _drawn(model, effects, values)
+        if drawn is not None and _has_bodies(drawn, where):
             rows.append(values)
             models.append(drawn)
         else:
@@ -81,14 +80,10 @@ def draw_models(model: Model, where: str, count: int, seed: int) -> Samples:
             if redrawn > MOST_DRAWS + count:
                 raise WorkError(f"{where}: {redrawn} of {redrawn + len(rows)} draws are no leg; fit on more runs, so "
                                 "that its intervals are narrower")
+    names = (*(p.name for p in model.parameters), *(
+        f"{value.name}{f'@{value.joint}' if value.joint else ''}.{one.name}"
+        for value, (effect, _) in zip(model.effects, effects) for one in (*effect.sizes, *effect.shapes)))
     return Samples(names, np.array(rows), tuple(models), redrawn, tuple(n for n, h in zip(names, held) if h))
-
-
-def _names(model: Model, kinds: Kinds) -> tuple[str, ...]:
-    """(m,) names of the covariance's rows."""
-    return (*(p.name for p in model.parameters),
-            *(f"{e.name}{f'@{e.joint}' if e.joint else ''}.{key}" for e in model.effects
-              for key in (*_order(e, kinds)[0], *_order(e, kinds)[1])))
 
 
 def write_samples(samples: Samples, where: str, folder: Path, command: str) -> None:
@@ -102,38 +97,24 @@ def write_samples(samples: Samples, where: str, folder: Path, command: str) -> N
     write_text(folder / "batch.py", Path(__file__).with_name("batch.py.jinja").read_text(encoding="utf-8"))
 
 
-def _order(effect: EffectValue, kinds: Kinds) -> tuple[Sequence[str], Sequence[str]]:
-    """Names of sizes and shapes in the estimator's order."""
-    kind = kinds[effect.name]
-    return [s.name for s in kind.sizes], [s.name for s in shapes_of(kind, effect)]
-
-
-def _values(model: Model, kinds: Kinds) -> FloatArray:
-    effects = [value for e in model.effects for names, of in zip(_order(e, kinds), (e.sizes, e.shapes))
-               for value in (of[name] for name in names)]
-    return np.array([*model.beta, *effects])
-
-
-def _with_values(model: Model, values: FloatArray, kinds: Kinds) -> Model:
-    rest = iter(values.tolist())
-    parameters = tuple(structs.replace(p, value=next(rest)) for p in model.parameters)
-    effects = tuple(structs.replace(e, sizes={name: next(rest) for name in _order(e, kinds)[0]},
-                                    shapes={name: next(rest) for name in _order(e, kinds)[1]}) for e in model.effects)
-    return structs.replace(model, parameters=parameters, effects=effects)
-
-
-def _can_be(model: Model, drawn: Model, where: str, kinds: Kinds) -> bool:
-    """Whether a leg can have the drawn values: signs as those of `model`, bodies with inertia."""
-    mechanism = build_mechanism(model.mechanism)
-    for p, before, after in zip(mechanism.parameters, model.beta, drawn.beta):
+def _drawn(model: Model, effects: Sequence[tuple[Effect, FloatArray]], values: FloatArray) -> Model | None:
+    """`model` with these values (m,); None where a sign is another than in `model`, so that no leg can have them."""
+    ends = np.cumsum([len(model.parameters), *(size.size for _, size in effects)])[:-1]
+    beta, *sizes = np.split(values, ends)
+    for p, before, after in zip(build_mechanism(model.mechanism).parameters, model.beta, beta):
         if p.term in PARTS and after < min(before, 0.0):
-            return False
-    for old, new in zip(model.effects, drawn.effects):
-        first = list(_order(old, kinds)[0])[: kinds[old.name].positive]
-        if any(new.sizes[name] < min(old.sizes[name], 0.0) for name in first):
-            return False
-        if any(new.shapes[name] * old.shapes[name] <= 0.0 for name in old.shapes):
-            return False
+            return None
+    for (effect, old), new in zip(effects, sizes):
+        first, shapes = slice(effect.positive), slice(len(effect.sizes), None)
+        if (new[first] < np.minimum(old[first], 0.0)).any() or (new[shapes] * old[shapes] <= 0.0).any():
+            return None
+    return structs.replace(
+        model, parameters=tuple(structs.replace(p, value=value) for p, value in zip(model.parameters, beta.tolist())),
+        effects=tuple(effect_value(effect, own) for (effect, _), own in zip(effects, sizes)))
+
+
+def _has_bodies(drawn: Model, where: str) -> bool:
+    """Whether rigid bodies can have the drawn values."""
     try:
         parts_of(drawn, where)
     except InputError:

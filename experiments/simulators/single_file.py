@@ -8,8 +8,6 @@ from experiments.simulators.mjcf import mjcf_notes, mjcf_of
 from experiments.simulators.parts import parts_of
 from experiments.simulators.urdf import limits_of, urdf_notes, urdf_of
 
-KINDS = ("mjcf", "urdf")
-
 
 def export_model(model: Model, kind: str, where: str, limits: Limits | None = None) -> tuple[str, list[str]]:
     """(XML text, what of the model it does not hold or holds otherwise). `limits` are those of a rig, for URDF. Raises

@@ -6,9 +6,6 @@ from .change import find_differences as find_differences
 from .change import runs_in as runs_in
 from .change import session_names as session_names
 from .compare import compare_models as compare_models
-from .compensate import cogging_settings as cogging_settings
-from .compensate import feedforward as feedforward
-from .compensate import shares_of as shares_of
 from .demo import run_demo as run_demo
 from .demo_text import demo_text as demo_text
 from .diagnose import diagnose_prepared as diagnose_prepared
@@ -32,8 +29,6 @@ from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
 from .follow import follow_commands as follow_commands
 from .in_mujoco import compared_text as compared_text
-from .in_mujoco import reduction_errors as reduction_errors
-from .in_mujoco import starts_of as starts_of
 from .in_mujoco import validate_in_mujoco as validate_in_mujoco
 from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
@@ -47,6 +42,4 @@ from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
 from .validate import model_of_fit as model_of_fit
 from .validate import predict_setup as predict_setup
-from .validate import seen_in_fit as seen_in_fit
-from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared

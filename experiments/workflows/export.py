@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq import InputError, Limits
-from experiments.console import command_line, make_directory, write_text
+from experiments.console import command_line, write_text
 from experiments.models import Model
 from experiments.session import Prepared
-from experiments.simulators import draw_models, export_model, learning_files, write_samples, write_simulator
-from experiments.workflows.in_mujoco import reduction_errors, starts_of
+from experiments.simulators import draw_models, export_model, write_samples, write_simulator
+from experiments.workflows.in_mujoco import starts_of
 
-OF_RUNS, OF_MODELS = ("csv", "parquet", "mat", "ros2"), ("mjcf", "urdf", "mujoco", "learning")
+OF_RUNS, OF_MODELS = ("csv", "parquet", "mat", "ros2"), ("mjcf", "urdf", "mujoco")
 """Formats of a run, and of a model."""
 ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
            ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
@@ -25,12 +25,10 @@ class Wanted:
     """Contents of a model's files in addition to it."""
 
     starts: Prepared | None = None
-    """Runs whose first states leg.xml keeps, or whose errors the table of a learning folder has."""
+    """Runs whose first states leg.xml keeps."""
     samples: int = 0
     """Models more, drawn by the joint covariance from `seed`."""
     seed: int = 1
-    servo: str = ""
-    """Actuator of the driven joint, as BAM names it."""
     limits: Limits | None = None
     """Of a rig, for URDF."""
 
@@ -54,12 +52,11 @@ def export_kind(out: str, kind: str | None = None) -> str:
     return found
 
 
-def check_wanted(kind: str, wanted: Wanted, starts: bool) -> None:
+def check_wanted(kind: str, starts: bool, samples: int) -> None:
     """Raises `InputError` for what the format does not take; `starts`: whether runs were given."""
-    for flag, given, kinds in (("--starts", starts, ("mujoco", "learning")), ("--servo", wanted.servo, ("learning",)),
-                               ("--samples", wanted.samples, ("mujoco",))):
-        if given and kind not in kinds:
-            raise InputError(flag, f"is for --to {' or '.join(kinds)}", "leave it out")
+    for flag, given in (("--starts", starts), ("--samples", samples)):
+        if given and kind != "mujoco":
+            raise InputError(flag, "is for --to mujoco", "leave it out")
 
 
 def export_model_as(kind: str, model: Model, where: str, out: Path | str, wanted: Wanted = Wanted()) -> Written:
@@ -67,8 +64,6 @@ def export_model_as(kind: str, model: Model, where: str, out: Path | str, wanted
     hold."""
     if kind == "mujoco":
         return _folder(model, where, Path(out), wanted)
-    if kind == "learning":
-        return _learning(model, where, Path(out), wanted)
     text, notes = export_model(model, kind, where, wanted.limits)
     write_text(out, text)
     return Written(f"{out}: {kind.upper()} model of {where}", tuple(notes))
@@ -89,14 +84,3 @@ def _folder(model: Model, where: str, out: Path, wanted: Wanted) -> Written:
         notes = [*notes, *([f"not determined, kept at the model's value: {', '.join(samples.held)}"]
                            if samples.held else [])]
     return Written("\n".join([*lines, f"Next: python {shlex.quote(str(out / 'leg.py'))} RUN.csv"]), tuple(notes))
-
-
-def _learning(model: Model, where: str, out: Path, wanted: Wanted) -> Written:
-    """Modules for simulators of policy learning, and the table of what they hold."""
-    errors = None if wanted.starts is None else reduction_errors(model, wanted.starts)
-    texts = learning_files(model, where, errors, wanted.servo)
-    make_directory(out)
-    for name, text in texts.items():
-        write_text(out / name, text)
-    told = texts["README.md"].split("\n\n", 2)[2].rstrip()
-    return Written(f"{out}: {', '.join(sorted(texts))} of {where}\n\n{told}")

@@ -14,8 +14,8 @@ from experiments.console import progress
 from experiments.judge import validation_trust, with_fit_trust
 from experiments.models import Model, fitted_model_of
 from experiments.session import Prepared
-from experiments.simulators import SIMULATORS, ExportedLeg, Piece, Record, Start, reduced, rows_of
-from experiments.workflows.validate import ValidationReport, predict_setup
+from experiments.simulators import ExportedLeg, Piece, Record, Start, rows_of
+from experiments.workflows.validate import ValidationReport
 
 STEP_S = 0.0005
 LOST_RAD = 50.0
@@ -59,15 +59,6 @@ def starts_of(model: Model, prepared: Prepared) -> list[Start]:
         session_s += one.problem.total * one.problem.dt
         found.append(Start(data.name.split(".")[0], one.state.x.q[0].tolist(), one.state.x.v[0].tolist()))
     return found
-
-
-def reduction_errors(model: Model, prepared: Prepared) -> dict[str, dict[str, float]]:
-    """Simulator of policy learning, and "model", to the rms free-run error of each sensor over whole runs, by legid's
-    simulation of what that simulator holds of the model. Raises `FitError`."""
-    models = [model, *(reduced(model, simulator).model for simulator in SIMULATORS)]
-    table = predict_setup([fitted_model_of(one) for one in models], prepared.setup, (np.inf,))
-    names = ["model", *(simulator.name for simulator in SIMULATORS)]
-    return {name: {channel: table.rms(k, channel, np.inf) for channel in table.judged} for k, name in enumerate(names)}
 
 
 def _rerun(leg: ExportedLeg, run: PredictedRun, smoothed: SmoothedRun, session_s: float) -> PredictedRun:

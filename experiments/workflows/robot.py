@@ -73,14 +73,14 @@ class RobotReport:
                           *errors, "", validation_text(self.validation.as_document(ValidationDocument))])
 
 
-def judge_robot(path: Path, runs: Runs, rig: Rig, damaged: bool = False) -> RobotReport:
+def judge_robot(path: Path, runs: Runs, rig: Rig) -> RobotReport:
     """The chain of a URDF or MJCF file against runs of its rig. Raises `InputError`, `FitError`."""
     links = read_robot(path)
-    found = fit_runs(runs, rig, damaged=damaged)
+    found = fit_runs(runs, rig)
     result = found.result
     settings = fitted_settings(found.setup.settings, result.mechanism)
     model = model_of_robot(links, settings, result.hold, str(path))
-    prepared = prepare(runs, found.rig, beta=np.array(model.beta), damaged=damaged)
+    prepared = prepare(runs, found.rig, beta=np.array(model.beta))
     rows = tuple(Contradiction(p.name, p.meaning, p.unit, a, float(b), float(half)) for p, a, b, half in
                  zip(result.mechanism.parameters, model.beta, result.beta, result.half_width))
     own = model_of(result, found.setup.settings, found.setup.options.hold, [d.name for d in found.setup.datasets])

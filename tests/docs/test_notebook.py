@@ -18,6 +18,6 @@ def test_the_notebook_runs_and_shows_tables_and_figures() -> None:
     shown = [output.data for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
              if "data" in output]
     assert sum("image/png" in data for data in shown) == 5
-    assert sum("<table" in data.get("text/html", "") for data in shown) == 7
+    assert sum("<table" in data.get("text/html", "") for data in shown) == 6
     (fitted,) = [data["text/html"] for data in shown if "converged" in data.get("text/html", "")]
     assert "beta9" in fitted and "NOT" not in fitted

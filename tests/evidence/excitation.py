@@ -31,8 +31,6 @@ from experiments.emulation.plant import LegBody
 from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
-from experiments.reports.html import Table
-from experiments.reports.markdown import markdown_table
 from experiments.session import prepare
 from studies.machine import machine
 from tests.evidence.kept import kept
@@ -175,9 +173,10 @@ def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[
 
 
 def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
-    body = [[kind, *(f"{value:.3f}" for value in row), f"{row.max():.3f}"] for kind, row in rows.items()]
-    return markdown_table(Table(header=["", *names, "largest"], rows=body, caption=caption,
-                                right=range(1, len(names) + 2)))
+    lines = [f"**{caption}**", "", f"|  | {' | '.join(names)} | largest |", "| --- |" + " ---: |" * (len(names) + 1)]
+    lines += [f"| {kind} | {' | '.join(f'{value:.3f}' for value in row)} | {row.max():.3f} |"
+              for kind, row in rows.items()]
+    return "\n".join(lines)
 
 
 EVIDENCE = (

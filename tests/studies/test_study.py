@@ -132,7 +132,8 @@ def test_command_writes_table_report_and_runs(tmp_path: Path, capsys: pytest.Cap
     assert document["schema"] == "legid.monte-carlo/1"
     row = next(r for r in document["results"] if r["method"] == "mle")
     assert row["runs"] == 6 and row["paper"]["mean"] == 1.242
-    assert "<svg" in (out / "report.html").read_text()
+    page = (out / "report.html").read_text()
+    assert page.count("<svg") == 1 and "1.242" in page and "--cases</span> 1" in page
     from pyarrow import parquet
 
     runs = parquet.read_table(out / "runs.parquet").to_pydict()

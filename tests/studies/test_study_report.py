@@ -1,7 +1,6 @@
 """What the study says about itself: demands, reasons, likelihood ratios, and its pages."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from estimator.fitting.fit_each import fit_each
 from estimator.fitting.profile_likelihood import known_noise, search
 from estimator.likelihood.batch_likelihood import BatchProblem, Records
 from estimator.signals.segments import split_signals
-from experiments.cli import main
 from studies.biped3.claims import claims, in_words
 from studies.biped3.likelihood import likelihood_ratio, smallest_misfit
 from studies.biped3.reasons import reasons
@@ -102,17 +100,3 @@ def test_reasons_follow_the_study(table: Table) -> None:
     assert "1.23, 207 rad² in cases 1 and 3" in text
     assert "Case 5" not in text
     assert [in_words(cases) for cases in ([1, 2, 3], [1, 3], [5])] == ["cases 1 to 3", "cases 1 and 3", "case 5"]
-
-
-def test_markdown_page_has_whole_tables_and_its_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = tmp_path / "pages" / "study.md"
-    assert main(["monte-carlo", "biped3", "--runs", "4", "--cases", "1,4", "--methods", "mle,wls", "--workers", "1",
-                 "--seed", "12", "--out", str(tmp_path / "out"), "--markdown", str(page)]) == 0
-    text = page.read_text()
-    assert "seed 12" in text and "--cases 1,4" in text and "1.242" in text
-    widths = [[line.count("|") for line in block.splitlines() if line.startswith("|")] for block in text.split("\n\n")]
-    assert all(len(set(width)) <= 1 for width in widths)
-    pictures = [line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
-    assert len(pictures) == 2
-    assert all((page.parent / name).read_text().startswith("<?xml") for name in pictures)
-    assert "met" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import legid
 from daq import InputError, WorkError
 from experiments import exchange, reports
 from experiments.cli.arguments import FORCE, numbers
@@ -114,19 +115,17 @@ def _targets(files: list[str], out: Path) -> Iterator[tuple[str, Path]]:
 
 def _guess(args: argparse.Namespace, target: Path) -> None:
     """Show what the files hold, and write the guessed map to `target` and its page next to it."""
-    from daq import write_file
-
     page = target.with_suffix(".html")
     if target.exists() and not (args.force or exchange.is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
-    found = exchange.guess_map(exchange.read_imported(args.files[0]), rate_hz=args.rate, joints=args.joints)
-    print(reports.guess_table(found))
+    found = legid.Guess(exchange.guess_map(exchange.read_imported(args.files[0]), rate_hz=args.rate,
+                                           joints=args.joints), args.files[0])
+    print(reports.guess_table(found.found))
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
-    write_file(target, exchange.guess_text(found.columns, found.notes).encode(), changed=True)
-    reports.write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
-               [reports.guess_section(found, args.files[0])], verdict=reports.guess_verdict(found))
+    found.write(target)
+    found.page(page)
     for warning in [*found.unexplained, *found.warnings]:
         print(f"warning: {warning}", file=sys.stderr)
     if found.unexplained:

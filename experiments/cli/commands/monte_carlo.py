@@ -51,7 +51,6 @@ COMMAND = Command(
         argument("--out", metavar="DIR", default="monte-carlo-out",
                  help="where finished work is kept, with runs.parquet and report.html; default: monte-carlo-out"),
         output("--json", "legid.monte-carlo/1", help="write the table as JSON (schema legid.monte-carlo/1)"),
-        output("--markdown", "text page", help="write the page as Markdown too, with its pictures next to it"),
         FORCE,
         argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")))
 

@@ -63,8 +63,8 @@ def test_a_command_with_a_document_calls_its_verb_and_hands_the_result_over(name
 
 def test_every_verb_with_a_document_has_its_command() -> None:
     called = set().union(*(verbs(module(name)) for name in documents()))
-    assert called >= {"fit", "fit_each", "validate", "compare", "compare_sessions", "diagnose", "tune", "gains",
-                      "effects", "list_runs"}
+    assert called >= {"fit", "fit_each", "validate", "compare", "compare_sessions", "diagnose", "tune", "effects",
+                      "list_runs"}
 
 
 def answer(path: Path) -> Any:
@@ -96,7 +96,6 @@ def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made
     (one,) = json.loads(shell.read_text())["fits"]
     assert each.fits[0]["parameters"] == one["parameters"] and one["provenance"]["rig"]["file"] == "rig.toml"
     assert list(each.to_frame().index) == [str(HEALTHY.resolve())]
-    same(legid.gains(model, angle_rad=0.1), "gains", model, "--angle", 0.1)
     same(legid.effects(), "effects")
     listed = legid.list_runs(FIXTURES)
     same(listed, "runs", FIXTURES)

@@ -1,15 +1,12 @@
 """What the command line says: suggestions, how much of it, nothing that steers a terminal."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from experiments import cli, console
 from experiments.cli.main import build_parser
-from tests.support.paths import DEMO_RIG, ROOT
+from tests.support.paths import DEMO_RIG
 
 
 def said(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
@@ -88,21 +85,3 @@ def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, capsys: pytest
     assert cli.main(["export", str(tmp_path / "a.csv"), "--out", str(tmp_path / "b.mat")]) == 0
     assert (tmp_path / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
     assert "give --to" in said(capsys, 2, "export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")
-
-
-@pytest.mark.parametrize("line, found", [("legid diag", "diagnose"), ("legid fit --meth", "--method"),
-                                         ("legid fit --method h", "hekf")])
-def test_a_shell_completes(line: str, found: str) -> None:
-    pytest.importorskip("argcomplete")
-    done = subprocess.run([sys.executable, "-m", "experiments.cli"], cwd=ROOT, capture_output=True, check=False,
-                          env=os.environ | {
-                              "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9",
-                              "_ARGCOMPLETE_STDOUT_FILENAME": "/dev/stdout", "_ARGCOMPLETE_IFS": " "})
-    assert found in done.stdout.decode()
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_gets_its_script(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("argcomplete")
-    assert cli.main(["completion", shell]) == 0
-    assert "legid" in capsys.readouterr().out

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from runpy import run_path
 
 import mujoco
 import numpy as np
@@ -17,7 +18,7 @@ from experiments.models import load_model, save_model
 from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
 from experiments.simulators import ExportedLeg, simulator_files
 from experiments.simulators.mujoco_runs import require_mujoco
-from experiments.simulators.parts import HELD, LEFT, OF_LOOP, parts_of
+from experiments.simulators.parts import ADDED, HELD, LEFT, OF_LOOP, parts_of
 from tests.support.exported_models import (
     EFFECTS,
     OPPOSITE,
@@ -37,7 +38,7 @@ def test_every_effect_of_the_library_is_held_or_left() -> None:
     from estimator.effects.registry import library_classes
 
     names = {kind.name for kind in library_classes()}
-    assert names - set(OF_LOOP) == set(EFFECTS) == set(HELD) | set(LEFT)
+    assert names - set(OF_LOOP) == set(EFFECTS) == {*ADDED, *HELD, *LEFT}
     assert set(OF_LOOP) == {kind.name for kind in library_classes() if kind.per_loop}
 
 
@@ -117,12 +118,11 @@ def test_the_file_alone_says_what_it_needs_and_leaves(tmp_path: Path) -> None:
 
 def test_noise_is_seeded_and_has_the_model_s_levels(tmp_path: Path) -> None:
     noise = {"gyro_radps": 0.01, "accel_x_mps2": 0.05, "accel_y_mps2": 0.4, "accel_correlation": 0.8}
-    module = ExportedLeg(model_of(tmp_path, 1, (), noise=noise), "m.json").module
     files = simulator_files(model_of(tmp_path, 1, (), noise=noise), "m.json", "legid export").texts
     for name, text in files.items():
         (tmp_path / name).write_text(text)
-    module.__dict__["__file__"] = str(tmp_path / "leg.py")
-    legs = [module.Leg(seed=seed) for seed in (1, 1, 2)]
+    leg_class = run_path(str(tmp_path / "leg.py"))["Leg"]
+    legs = [leg_class(seed=seed) for seed in (1, 1, 2)]
     rows = [[leg.observe() for _ in range(4000)] for leg in legs]
     assert rows[0] == rows[1] and rows[0] != rows[2]
     read = np.array([[row[c] for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")] for row in rows[0]])
