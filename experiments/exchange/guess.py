@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 from msgspec import structs
 
-from daq import Column, Dataset, InputError
+from daq import Column, InputError
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_chain import driven_joints, find_chain, same_joint
 from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_loads, with_rates
@@ -42,13 +42,11 @@ from experiments.exchange.guess_names import (
     usable,
 )
 from experiments.exchange.guess_result import Guess
-from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import chosen_joints, first_run
 from experiments.exchange.layouts import layout_warnings, stated
 from experiments.exchange.units import unit_in_name
 
-TORSO = r"torso|trunk"
 MAYBE_TORQUE = r"^[^a-z]*(u|input|control)[^a-z]*$"
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
@@ -56,19 +54,19 @@ MADE_OF_OTHERS = 1e-4
 
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float | None = None,
               joints: Sequence[str] = ()) -> Guess:
-    """Columns of `imported` with units and signs, for a hanging leg, a single joint, a chain or a walker.
+    """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain.
 
     A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
-    more, or with two torques, is a chain's whose joints all have encoders. Three angles and two torques may be a
-    walker's, which touchdowns show. Without torques, angles that follow commands are joints under position control.
-    `joints` names those of many joints that are taken, a chain's from its base on. A file without times has `rate_hz`
-    rows a second. Raises `InputError`.
+    more, or with two torques, is a chain's whose joints all have encoders. Without torques, angles that follow
+    commands are joints under position control. `joints` names those of many joints that are taken, a chain's from its
+    base on. A file without times has `rate_hz` rows a second. Raises `InputError`.
     """
     if rate_hz is not None:
         imported = _timed(imported, rate_hz)
     one, cell = first_run(imported)
     guess = _guess_one(chosen_joints(one, joints) if joints else one, gravity_mps2)
-    columns = {name: structs.replace(column, name=f"{column.name}{cell}") for name, column in guess.columns.items()}
+    columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
+               for name, column in guess.columns.items()}
     return replace(guess, columns=columns,
                    warnings=[*guess.warnings, *layout_warnings(one, guess.columns)])
 
@@ -116,13 +114,12 @@ def _is_joint(imported: ImportedFile) -> bool:
 
 
 def _is_chain(imported: ImportedFile) -> bool:
-    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out, but
-    a torso's."""
+    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out."""
     angles, torques = _angles(imported), fitting(imported, "tau", True)
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (
         len(angles) > 2 or (len(torques) == 2 and not same_joint(angles, torques)))
     some |= 2 <= len(angles) <= MOST_LINKS and not has(imported, "tau")
-    return some and (not has(imported, "gyro", "accel") or bool(re.search(TORSO, " ".join(angles), re.IGNORECASE)))
+    return some and not has(imported, "gyro", "accel")
 
 
 def _angles(imported: ImportedFile) -> list[str]:
@@ -154,27 +151,18 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
                  ) -> Guess:
-    """The guess for a chain of joints, each with an encoder, or for a walker."""
+    """The guess for a chain of joints, each with an encoder."""
     angles = _angles(imported)
     driven = driven_joints(angles, sorted(fitting(imported, "tau", True), key=imported.names.index))
     time = {TIME: columns[TIME]} if TIME in columns else {}
-
-    def put(order: Sequence[int]) -> tuple[dict[str, Column], Dataset]:
-        theirs = {f"q{k}_rad": Column(name=angles[j], unit=unit_in_name(angles[j], "q2_rad"))
-                  for k, j in enumerate(order, 1)}
-        theirs |= {f"tau{order.index(j) + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm"))
-                   for name, j in driven.items()}
-        return theirs, apply_map(imported, time | theirs)
-
-    theirs, raw = put(range(len(angles)))
+    theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
+    theirs |= {f"tau{j + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm")) for name, j in driven.items()}
+    raw = apply_map(imported, time | theirs)
     wrenches = [] if driven else _wrenches(imported)
     if wrenches:
         unknown = {name: "NOT KNOWN: no column is known to be its torque" for name in theirs if name != TIME}
         return Guess(theirs | time, unknown, [], wrenches, raw)
     found = find_chain(raw, theirs, gravity_mps2)
-    if len(angles) == 3 and len(driven) == 2:
-        theirs, raw = put(sorted(range(3), key=lambda j: (j in driven.values(), j)))
-        found = walker_or_chain(find_walker(raw, theirs, gravity_mps2), found)
     theirs = found.columns | time
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
     last = max((name for name in theirs if name.startswith("tau")), default="")

@@ -37,7 +37,7 @@ HANGS_RAD = 0.1
 
 
 @dataclass(frozen=True)
-class Reading:
+class _Reading:
     """The angles in one unit, relative or absolute, with signs of angles and torques."""
 
     left: float
@@ -97,21 +97,16 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         made = z @ first.beta
     else:
         read, made = z[:, 0], z[:, 0] - z @ first.beta
-    found = told(ranked, columns, (read, made), range(-1, n - 1), "a mechanism that is no open chain")
+    found = _found(ranked, columns, (read, made))
     tilt = _hangs_at(mechanism, first.beta)
     if not found.unexplained and abs(tilt) > HANGS_RAD:
-        found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression "
-                              "as the column's name")
+        found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: set offset = {-tilt:.2f} under "
+                              "[columns.q1_rad]")
     return found
 
 
-def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray],
-         before: Sequence[int], otherwise: str) -> Found:
-    """The map by the first of `ranked`, with reasons and warnings.
-
-    `before` is the joint from which a joint's relative angle counts, from 0; `otherwise` says what else a file may hold
-    that no reading explains.
-    """
+def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
+    """The map by the first of `ranked`, with reasons and warnings."""
     first = ranked[0]
     second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
     sure = second.left >= CLEAR * first.left
@@ -124,7 +119,8 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     if first.left > EXPLAINS:
         named = ", ".join(repr(columns[name].name) for name in angles)
         why = (f"no unit and signs of {named} explain {what} (the best leave {100 * first.left:.0f} %): too "
-               f"little motion, a motor's angle before its gear, another order of the joints, or {otherwise}")
+               "little motion, a motor's angle before its gear, another order of the joints, or a mechanism that is no "
+               "open chain")
         notes = {name: f"NOT KNOWN: no unit and signs explain {what}" for name in angles}
         notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
         return Found(dict(columns), notes, warnings, [why], check, left=first.left)
@@ -134,12 +130,9 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     prefix = "" if sure else NOT_SURE
     found, notes = {}, {}
     for k, (column, sign) in enumerate(zip(angles, first.signs)):
-        angle, less = columns[column], ""
-        name, unit = angle.name, angle.unit or first.unit
-        if first.absolute and k:
-            less = columns[angles[before[k]]].name
-            name = f"'{name}' - '{less}'"
-        found[column] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
+        angle, less = columns[column], columns[angles[k - 1]].name if first.absolute and k else ""
+        unit = angle.unit or first.unit
+        found[column] = msgspec.structs.replace(angle, unit=unit, minus=less, sign=1 if sign > 0 else -1)
         notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
                          f"motion leaves {100 * first.left:.1f} % of {what} (next best: {100 * second.left:.0f} %)")
     for column, sign in zip(torques, first.works):
@@ -148,13 +141,13 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     return Found(found, notes, warnings, [], check, left=first.left)
 
 
-def _told(one: Reading) -> str:
+def _told(one: _Reading) -> str:
     return (f"{one.unit or 'rad'}{', absolute' if one.absolute else ''}, signs of angles "
             f"{' '.join(f'{s:+d}' for s in one.signs)}, of torques {' '.join(f'{s:+d}' for s in one.works)}")
 
 
 def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
-              ) -> Iterator[Reading]:
+              ) -> Iterator[_Reading]:
     """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
     n, cutoff = mechanism.n, band_hz(raw.rate_hz)
     names = [f"q{k + 1}_rad" for k in range(n)]
@@ -177,7 +170,7 @@ def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column],
 
 def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, rows: NDArray[np.intp],
                      driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[int, ...]]
-                     ) -> Iterator[Reading]:
+                     ) -> Iterator[_Reading]:
     """Least squares of the equation of motion for every sign of the torques.
 
     The normal equations are put up once: the signs enter their right-hand side alone.
@@ -198,11 +191,11 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
         left = float(np.sqrt(max(power - right @ beta, 0.0) / spread))
         if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
             left = max(left, 1.0)
-        yield Reading(left, *read, works, q, beta)
+        yield _Reading(left, *read, works, q, beta)
 
 
 def _swinging(mechanism: Mechanism, q: FloatArray, z: FloatArray, poses: FloatArray,
-              read: tuple[str, bool, tuple[int, ...]]) -> Reading:
+              read: tuple[str, bool, tuple[int, ...]]) -> _Reading:
     """Z beta = 0 of a chain that no motor drives, by its rows z (m, n, k), in units of the first inertia."""
     rows, wanted = z[..., 1:].reshape(-1, z.shape[-1] - 1), -z[..., 0].ravel()
     rest = np.linalg.lstsq(rows, wanted, rcond=None)[0]
@@ -210,7 +203,7 @@ def _swinging(mechanism: Mechanism, q: FloatArray, z: FloatArray, poses: FloatAr
     beta = np.append(1.0, rest)
     if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
         left = max(left, 1.0)
-    return Reading(left, *read, (), q, beta)
+    return _Reading(left, *read, (), q, beta)
 
 
 def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:

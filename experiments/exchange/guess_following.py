@@ -169,7 +169,7 @@ def _following_leg(imported: ImportedFile, clock: dict[str, Column], reasons: di
 def with_commands(guess: Guess, imported: ImportedFile) -> Guess:
     """`guess` with the commands of its angles, where these follow them."""
     angles = {name: column for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)
-              and column.name in imported.names}
+              and column.name in imported.names and not column.minus}
     pairs = pair_commands([column.name for column in angles.values()], commands_of(imported))
     columns, notes = dict(guess.columns), dict(guess.notes)
     for k, command in pairs.items():

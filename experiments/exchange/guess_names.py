@@ -63,7 +63,8 @@ def lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inpu
     """The error for a file without `what`; `words`: kind of signal -> how such columns are called.
 
     A column that is called so and cannot be used is named with the reason."""
-    useless = [f"{name!r} {why}" for name, why in imported.left_out.items() if kind_of(name) in words]
+    useless = [f"{name!r} {why}" for name, why in imported.left_out.items()
+               if kind_of(name) in words or not imported.names]
     for name in imported.names:
         values = imported.table_of(name).columns[name]
         if kind_of(name) in words and not changes(values):

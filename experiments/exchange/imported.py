@@ -54,8 +54,11 @@ class ImportedFile:
         for table in self.tables:
             if column in table.columns:
                 return table
-        if column in self.left_out:
-            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "correct that cell, or empty it")
+        known = next((name for name in (column, column.partition("{")[0]) if name in self.left_out), None)
+        if known is not None:
+            what, save, how = self.left_out[known].partition(": save ")
+            raise InputError(self.name, f"column {known!r} {what}",
+                             f"save {how}" if save else "correct that cell, or empty it")
         close = difflib.get_close_matches(column, self.names, 1, 0.6)
         some = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
         raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq import InputError
-from experiments.exchange.expression import ANY
+from experiments.exchange.column_map import ANY
 from experiments.exchange.guess_chain import driven_joints
 from experiments.exchange.guess_names import fitting, kind_of
 from experiments.exchange.guess_servo import commands_of, pair_commands

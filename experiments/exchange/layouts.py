@@ -44,10 +44,15 @@ BAM_DUTY = {"xl330": 4096 / (2 * np.pi) / (256 * PWM_FULL), "mx106": 0.158, "mx6
 
 
 def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
-    """A LeRobot file with the names of its joints, each episode a run of its own with its times; others as they are.
+    """A LeRobot file with the names of its joints, each episode a run of its own with its times; one of BAM without
+    commands where its motor is off; others as they are.
 
     Raises `InputError` for an info.json that is there and cannot be read.
     """
+    if BAM_GOAL in imported.names:
+        return replace(imported, tables=tuple(table if not {BAM_GOAL, BAM_ON} <= table.columns.keys() else Table({
+            **table.columns, BAM_GOAL: np.where(table.columns[BAM_ON] > 0.0, table.columns[BAM_GOAL], np.nan)})
+            for table in imported.tables))
     if not any(name.startswith(f"{STATE}[") for name in imported.names) or "timestamp" not in imported.names:
         return imported
     names, robot = _robot_of(path)
@@ -101,8 +106,7 @@ def stated(imported: ImportedFile, name: str, contract: str) -> Column:
     if imported.facts.get("layout") == "lerobot":
         return Column(name=name, unit="deg" if _counts_degrees(imported) else "")
     if PACE.match(name) or name in (BAM_ANGLE, BAM_GOAL):
-        return Column(name=f"{BAM_GOAL} / {BAM_ON}" if name == BAM_GOAL and BAM_ON in imported.names else name,
-                      unit="rad")
+        return Column(name=name, unit="rad")
     return angle_register(imported, name) or Column(name=name, unit=unit_in_name(name, contract))
 
 
