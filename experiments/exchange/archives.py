@@ -12,8 +12,6 @@ from daq import InputError, read_bytes
 from experiments.exchange.imported import ImportedFile, by_length
 from experiments.exchange.tree import columns_of
 
-MOST_PARTS, DEEPEST = 100_000, 64
-"""Arrays, groups and datasets in one file, and groups within each other."""
 MOST_BYTES = 1 << 29
 """Of one dataset, which can be declared and not be there."""
 
@@ -21,11 +19,8 @@ MOST_BYTES = 1 << 29
 def read_numpy(path: Path) -> ImportedFile:
     """Columns of an .npz or .npy file without pickled objects. Raises what NumPy raises."""
     found = np.load(path, allow_pickle=False)
-    if isinstance(found, np.ndarray):
-        return _imported(path, {"column": found})
-    if len(found.files) > MOST_PARTS:
-        raise ValueError(f"more than {MOST_PARTS} arrays")
-    return _imported(path, {name: found[name] for name in found.files})
+    return _imported(path, {"column": found} if isinstance(found, np.ndarray) else
+                     {name: found[name] for name in found.files})
 
 
 def read_json(path: Path) -> ImportedFile:
@@ -46,38 +41,28 @@ def read_hdf5(path: Path) -> ImportedFile:
         import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
     except ImportError:
         raise InputError(str(path), "needs the package h5py", 'install it: pip install "legid[hdf5]"') from None
-    seen: set[int] = set()
+    found: dict[str, Any] = {}
+    outside: list[bytes] = []
 
     def refuse(name: str) -> NoReturn:
         raise InputError(f"{path}, {name}", "is kept in another file", "copy it into this file, as h5repack does")
 
-    def content(item: Any, depth: int) -> Any:
-        known = h5py.h5o.get_info(item.id).addr
-        if known in seen:
-            return None
-        seen.add(known)
-        if len(seen) > MOST_PARTS or depth > DEEPEST:
-            raise ValueError(f"more than {MOST_PARTS} parts, or {DEEPEST} levels")
-        if isinstance(item, h5py.Group):
-            return {name: content(item[name], depth + 1) for name in item if not name.startswith("#")
-                    and inside(item, name)}
-        return dataset(item) if isinstance(item, h5py.Dataset) else None
-
-    def inside(group: Any, name: str) -> bool:
-        link = group.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink):
-            refuse(f"{group.name.rstrip('/')}/{name}")
-        return isinstance(link, h5py.HardLink)
-
-    def dataset(item: Any) -> Any:
+    def take(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or "/#" in name:
+            return
         if item.external or item.is_virtual:
             refuse(item.name)
         if item.size and item.size * max(item.dtype.itemsize, 1) > MOST_BYTES:
             raise InputError(f"{path}, {item.name}", f"declares {item.size:.3g} values", "give a smaller part of it")
-        return item[()]
+        found[name] = item[()]
 
     with h5py.File(path, "r") as file:
-        return _imported(path, content(file, 0), joint="/")
+        file.id.links.visit(lambda name, link: outside.append(name) if link.type == h5py.h5l.TYPE_EXTERNAL else None,
+                            info=True)
+        for name in outside:
+            refuse(f"/{name.decode(errors='replace')}")
+        file.visititems(take)
+    return _imported(path, found, joint="/")
 
 
 def _imported(path: Path, content: Any, facts: dict[str, str] | None = None, joint: str = ".") -> ImportedFile:

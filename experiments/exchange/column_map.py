@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import msgspec
@@ -69,6 +70,11 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
             raise InputError(f"{where}, columns.{name}", "has a scale, offset or delay that is no finite number",
                              "correct it; a scale is not 0")
     return columns
+
+
+def only_time(found: Mapping[str, Any]) -> dict[str, Any]:
+    """What `found` has for the time, if anything."""
+    return {TIME: found[TIME]} if TIME in found else {}
 
 
 def require_scales(columns: ColumnMap, where: str) -> None:
@@ -214,7 +220,7 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
         far = np.flatnonzero(np.abs(values) > MOST)
         wrong += [Wrong(f"row {k + 1}", column.name, f"is {values[k]:.3g}, larger than any reading") for k in far]
-        groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values) if far.size else values
+        groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values)
     out = []
     for key, group in groups.items():
         rows = _increasing(imported.name, clocks[key])

@@ -20,12 +20,15 @@ from experiments.exchange.guess_physics import (
     CLEAR,
     EXPLAINS,
     NOT_SURE,
+    SIGNS,
     SMOOTHING_RADPS,
     Found,
+    Sign,
     band_hz,
     filled,
     inside,
     scale_warnings,
+    share_left,
 )
 
 MOST_ROWS = 1500
@@ -44,22 +47,22 @@ class _Reading:
     """Residual of the torques, as a share of their standard deviation."""
     unit: str
     absolute: bool
-    signs: tuple[int, ...]
-    works: tuple[int, ...]
+    signs: tuple[Sign, ...]
+    works: tuple[Sign, ...]
     q: FloatArray
     """(N, n) [rad]"""
     beta: FloatArray
     """(p,) by least squares"""
 
 
-def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, int]:
-    """Torque column -> joint from 0, by the words and numbers that its name shares with that of an angle."""
-    if not torques:
+def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
+    """Joint from 0 -> its torque or command, by the words and numbers that a name shares with that of an angle."""
+    if not others:
         return {}
-    shared = _shared(angles, torques)
-    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(torques)), np.arange(len(angles))))
+    shared = _shared(angles, others)
+    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(others)), np.arange(len(angles))))
     rows, columns = linear_sum_assignment(-(shared + order))
-    return {torques[int(row)]: int(column) for row, column in zip(rows, columns)}
+    return {int(column): others[int(row)] for row, column in zip(rows, columns)}
 
 
 def same_joint(angles: Sequence[str], torques: Sequence[str]) -> bool:
@@ -132,11 +135,11 @@ def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tup
     for k, (column, sign) in enumerate(zip(angles, first.signs)):
         angle, less = columns[column], columns[angles[k - 1]].name if first.absolute and k else ""
         unit = angle.unit or first.unit
-        found[column] = msgspec.structs.replace(angle, unit=unit, minus=less, sign=1 if sign > 0 else -1)
+        found[column] = msgspec.structs.replace(angle, unit=unit, minus=less, sign=sign)
         notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
                          f"motion leaves {100 * first.left:.1f} % of {what} (next best: {100 * second.left:.0f} %)")
     for column, sign in zip(torques, first.works):
-        found[column] = msgspec.structs.replace(columns[column], sign=1 if sign > 0 else -1)
+        found[column] = msgspec.structs.replace(columns[column], sign=sign)
         notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
     return Found(found, notes, warnings, [], check, left=first.left)
 
@@ -158,7 +161,7 @@ def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column],
     use = inside(raw, [*names, *(f"tau{j + 1}_nm" for j in driven)])
     rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
     stated = [bool(columns[name].unit) for name in names]
-    variants = [(False, (1, *signs)) for signs in product((1, -1), repeat=n - 1)] + [(True, (1,) * n)]
+    variants = [(False, (*SIGNS[:1], *signs)) for signs in product(SIGNS, repeat=n - 1)] + [(True, SIGNS[:1] * n)]
     for (unit, scale), (absolute, signs) in product(ANGLE_UNITS.items(), variants):
         if all(stated) and unit:
             continue
@@ -169,7 +172,7 @@ def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column],
 
 
 def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, rows: NDArray[np.intp],
-                     driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[int, ...]]
+                     driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[Sign, ...]]
                      ) -> Iterator[_Reading]:
     """Least squares of the equation of motion for every sign of the torques.
 
@@ -185,7 +188,7 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
     if not driven:
         yield _swinging(mechanism, q, z, poses, read)
         return
-    for works in product((1, -1), repeat=len(driven)):
+    for works in product(SIGNS, repeat=len(driven)):
         right = np.array(works, dtype=float) @ parts[list(driven)]
         beta = inverse @ right
         left = float(np.sqrt(max(power - right @ beta, 0.0) / spread))
@@ -195,11 +198,11 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
 
 
 def _swinging(mechanism: Mechanism, q: FloatArray, z: FloatArray, poses: FloatArray,
-              read: tuple[str, bool, tuple[int, ...]]) -> _Reading:
+              read: tuple[str, bool, tuple[Sign, ...]]) -> _Reading:
     """Z beta = 0 of a chain that no motor drives, by its rows z (m, n, k), in units of the first inertia."""
     rows, wanted = z[..., 1:].reshape(-1, z.shape[-1] - 1), -z[..., 0].ravel()
     rest = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    left = float(np.linalg.norm(rows @ rest - wanted) / max(float(np.linalg.norm(wanted)), 1e-30))
+    left = share_left(wanted, rows @ rest)
     beta = np.append(1.0, rest)
     if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
         left = max(left, 1.0)

@@ -23,7 +23,7 @@ def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[st
     axes = [Column(name=name) for name in (*triads["gyro"], *triads["accel"])]
     follows = "tau2_nm" not in columns
     torques = [] if follows else [Column(name=name, unit=unit_in_name(name, "tau2_nm")) for name in
-                                  fitting(imported, "tau", True) if name != columns["tau2_nm"].name][:MOST_RIVALS]
+                                  fitting(imported, "tau") if name != columns["tau2_nm"].name][:MOST_RIVALS]
     plain = [*axes, *rivals, *(Column(name=column.name) for column in torques)]
     spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate(plain)}
     raw = apply_map(imported, {**columns, **{spare[column.name]: column for column in plain}})

@@ -17,9 +17,8 @@ from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
 from estimator.signals import lowpass
-from experiments.exchange.guess_chain import driven_joints
-from experiments.exchange.guess_joint import joint_regressor, left_of, solve
-from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of
+from experiments.exchange.guess_joint import joint_regressors, left_of, solve
+from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of, says
 from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, NOT_SURE, Found, band_hz, filled, inside
 from experiments.exchange.imported import ImportedFile
 
@@ -55,19 +54,14 @@ def commands_of(imported: ImportedFile) -> list[str]:
     found = []
     for name in imported.names:
         plain = re.sub(r"set_?point", "", name, flags=re.IGNORECASE)
-        if not re.search(NOT_MEASURED, name, re.IGNORECASE) or re.match(TIME_NAMES, name, re.IGNORECASE) \
-                or re.search(NOT_AN_ANGLE, plain, re.IGNORECASE):
+        if not says(name, NOT_MEASURED) or says(name, TIME_NAMES) \
+                or says(plain, NOT_AN_ANGLE):
             continue
         kind = kind_of(name)
-        if (kind in ("q1", "q2") or (not kind and re.search(A_COMMAND, name, re.IGNORECASE))) \
-                and changes(imported.table_of(name).columns[name]):
+        if (kind in ("q1", "q2") or (not kind and says(name, A_COMMAND))) \
+                and changes(imported.values(name)):
             found.append(name)
     return found
-
-
-def pair_commands(angles: Sequence[str], commands: Sequence[str]) -> dict[int, str]:
-    """Joint from 0 -> the command of its angle, by the words and numbers that their names share."""
-    return {joint: command for command, joint in driven_joints(angles, commands).items()}
 
 
 def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: Column) -> Command:
@@ -134,11 +128,9 @@ def find_servo_joint(raw: Dataset, one: Command) -> Found:
     `raw` has q1_rad and q1_cmd_rad in one unit, with the command's sign.
     """
     columns = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
-    cutoff, use = band_hz(raw.rate_hz), inside(raw, list(columns))
-    error = lowpass(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), cutoff, raw.rate_hz)
-    units = {"": 1.0} if one.angle.unit else ANGLE_UNITS
-    rows = {unit: joint_regressor(lowpass(scale * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
-            for unit, scale in units.items()}
+    use = inside(raw, list(columns))
+    error = lowpass(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), band_hz(raw.rate_hz), raw.rate_hz)
+    rows = joint_regressors(raw, {"": 1.0} if one.angle.unit else ANGLE_UNITS)
     left = {unit: left_of(z[use], error[use]) for unit, z in rows.items()}
     best = min(left, key=lambda one: left[one])
     unit = best if left[best] <= EXPLAINS and CLEAR * left[best] < left[""] else ""
@@ -176,15 +168,15 @@ def servo_hint(joints: Sequence[int]) -> str:
 
 def rates_of(imported: ImportedFile) -> list[str]:
     """Columns that are commanded rates by their names, in the file's order."""
-    return [name for name in imported.names if re.search(NOT_MEASURED, name, re.IGNORECASE)
-            and re.search(A_RATE, name, re.IGNORECASE) and kind_of(name) != "tau"
-            and changes(imported.table_of(name).columns[name])]
+    return [name for name in imported.names if says(name, NOT_MEASURED)
+            and says(name, A_RATE) and kind_of(name) != "tau"
+            and changes(imported.values(name))]
 
 
 def feedforwards_of(imported: ImportedFile) -> list[str]:
     """Columns that are feedforward torques by their names, in the file's order."""
-    return [name for name in imported.names if re.search(A_FEEDFORWARD, name, re.IGNORECASE)
-            and not re.search(A_RATE, name, re.IGNORECASE) and changes(imported.table_of(name).columns[name])]
+    return [name for name in imported.names if says(name, A_FEEDFORWARD)
+            and not says(name, A_RATE) and changes(imported.values(name))]
 
 
 def is_rate_of(rate: FloatArray, command: FloatArray, rate_hz: float) -> int:

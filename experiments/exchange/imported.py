@@ -64,6 +64,10 @@ class ImportedFile:
         raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close
                          else f"it has {some}" if some else "it holds no column of numbers")
 
+    def values(self, column: str) -> FloatArray:
+        """(n,) numbers of `column`. Raises `InputError` as `table_of` does."""
+        return self.table_of(column).columns[column]
+
 
 def by_length(columns: Mapping[str, FloatArray]) -> tuple[Table, ...]:
     """Columns (n,) grouped into tables, the longest first."""

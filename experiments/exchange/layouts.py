@@ -22,6 +22,7 @@ import numpy as np
 
 from daq import Column, InputError, read_bytes
 from daq.runs import ENABLED, LOAD_COLUMN
+from experiments.exchange.guess_names import says
 from experiments.exchange.imported import ImportedFile, Table
 from experiments.exchange.registers import PWM_FULL, angle_register, maker, motor_registers
 from experiments.exchange.units import unit_in_name
@@ -44,10 +45,9 @@ BAM_DUTY = {"xl330": 4096 / (2 * np.pi) / (256 * PWM_FULL), "mx106": 0.158, "mx6
 
 
 def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
-    """A LeRobot file with the names of its joints, each episode a run of its own with its times; one of BAM without
-    commands where its motor is off; others as they are.
+    """A LeRobot file with the names of its joints, each episode a run of its own with its times; others as they are.
 
-    Raises `InputError` for an info.json that is there and cannot be read.
+    A recording of BAM has no command where its motor is off. Raises `InputError` for an info.json that cannot be read.
     """
     if BAM_GOAL in imported.names:
         return replace(imported, tables=tuple(table if not {BAM_GOAL, BAM_ON} <= table.columns.keys() else Table({
@@ -135,9 +135,9 @@ def motor_columns(imported: ImportedFile) -> dict[str, Column]:
     """The columns `duty`, `volts` and `torque_enable` of a layout, or of them what it has; empty for other files."""
     if BAM_LOAD not in imported.names or BAM_VOLTS not in imported.names:
         return motor_registers(imported)
-    on = imported.table_of(BAM_ON).columns[BAM_ON] if BAM_ON in imported.names else np.ones(1)
+    on = imported.values(BAM_ON) if BAM_ON in imported.names else np.ones(1)
     known = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
-    load = imported.table_of(BAM_LOAD).columns[BAM_LOAD]
+    load = imported.values(BAM_LOAD)
     load = load[np.isfinite(load)]
     if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
         return known  # of other servos BAM does not say what its load is
@@ -147,7 +147,7 @@ def motor_columns(imported: ImportedFile) -> dict[str, Column]:
 
 def without_sign(imported: ImportedFile, name: str) -> bool:
     """Whether a column of BAM's layout is a magnitude, as the torque and the current of kscalelabs/sysid are."""
-    values = imported.table_of(name).columns[name]
+    values = imported.values(name)
     return BAM_ANGLE in imported.names and bool(np.nanmin(values) >= 0.0)
 
 
@@ -177,7 +177,7 @@ def _unit_of_loads(loads: Mapping[str, Column]) -> str:
 def _counts_degrees(imported: ImportedFile) -> bool:
     """The robot is one of hobby servos, whose angles LeRobot gives in degrees or in per cent; or nothing is known."""
     robot = imported.facts.get("lerobot.robot", "")
-    return not robot or bool(re.search(HOBBY, robot, re.IGNORECASE))
+    return not robot or says(robot, HOBBY)
 
 
 def _lerobot(imported: ImportedFile, used: Mapping[str, Column]) -> str:

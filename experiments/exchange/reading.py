@@ -145,7 +145,7 @@ def mapped(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None) ->
     own = {name: column for name, column in OWN_TOPICS.items() if column.name in imported.names}
     run = own_export(imported, rate_hz) or apply_map(imported, own or identity(imported), rate_hz)
     if own and CLOCK_BOUND in imported.names:
-        return replace(run, clock_bound_s=float(imported.table_of(CLOCK_BOUND).columns[CLOCK_BOUND][0]))
+        return replace(run, clock_bound_s=float(imported.values(CLOCK_BOUND)[0]))
     return run
 
 

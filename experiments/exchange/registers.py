@@ -56,7 +56,7 @@ def angle_register(imported: ImportedFile, name: str) -> Column | None:
     if not re.search(r"(present|goal|target)_position|position_(present|goal|target)|pos(ition)?_(counts|raw|ticks)",
                      _plain(name)):
         return None
-    values = imported.table_of(name).columns[name]
+    values = imported.values(name)
     known = values[np.isfinite(values)]
     if not known.size or np.abs(known).max() < COUNTS or (known != np.round(known)).any():
         return None
@@ -85,7 +85,7 @@ def motor_registers(imported: ImportedFile) -> dict[str, Column]:
 
 def _known(imported: ImportedFile, name: str) -> FloatArray:
     """Its numbers that were read; one zero where none was."""
-    values = imported.table_of(name).columns[name]
+    values = imported.values(name)
     known = values[np.isfinite(values)]
     return known if known.size else np.zeros(1)
 

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map
-from experiments.exchange.guess_chain import driven_joints
+from experiments.exchange.guess_chain import of_joints
 from experiments.exchange.reading import read_imported
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 
@@ -107,4 +107,4 @@ def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: py
     (["position[0]", "position[1]"], ["effort[0]", "effort[1]"], [0, 1]),
 ])
 def test_a_torque_s_joint_shows_in_its_name(angles: list[str], torques_: list[str], joints: list[int]) -> None:
-    assert list(driven_joints(angles, torques_).values()) == joints
+    assert of_joints(angles, torques_) == dict(zip(joints, torques_))
