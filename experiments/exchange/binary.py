@@ -11,7 +11,7 @@ import numpy as np
 
 from daq import FloatArray, InputError
 from experiments.exchange.archives import read_hdf5
-from experiments.exchange.imported import ImportedFile, Wrong, as_floats, by_length
+from experiments.exchange.imported import ImportedFile, Wrong, by_length
 from experiments.exchange.tree import columns_of
 
 OWN_FACTS = ("rate_hz", "clock_bound_s")
@@ -50,6 +50,13 @@ def _objects(value: object) -> Iterator[tuple[str, str]]:
                          "instead")
 
 
+def _floats(values: np.ndarray) -> FloatArray | None:
+    """(n,) floats, times as seconds from the first; None where `values` are no column of numbers."""
+    if values.size > 1 and values.dtype.kind == "M":
+        return (values - values[0]).astype("timedelta64[ns]").astype(np.float64) * 1e-9
+    return values.astype(np.float64) if values.size > 1 and values.dtype.kind in "fiub" else None
+
+
 def read_parquet(path: Path) -> ImportedFile:
     """Columns of numbers of a Parquet file, those of a list called as in `tree`; null is NaN.
 
@@ -64,7 +71,7 @@ def read_parquet(path: Path) -> ImportedFile:
     columns: dict[str, FloatArray] = {}
     left_out: dict[str, str] = {}
     for name in table.column_names:
-        numbers = as_floats(table[name].to_numpy())
+        numbers = _floats(table[name].to_numpy())
         if numbers is not None:
             columns[name] = numbers
             continue

@@ -73,7 +73,7 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
 
 
 def only_time(found: Mapping[str, Any]) -> dict[str, Any]:
-    """What `found` has for the time, if anything."""
+    """The entry of `found` for the time; empty without one."""
     return {TIME: found[TIME]} if TIME in found else {}
 
 
@@ -261,7 +261,7 @@ def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: fl
                                        f"{next(iter(table.columns.values())).size} samples in other columns",
                          "save them with one time for all")
     time_s = column.scale * factor(column.unit, TIME, imported.name) * read + column.offset
-    return np.asarray(time_s - time_s[0]) if (column.unit, column.scale) != ("", 1.0) else np.asarray(time_s)
+    return time_s - time_s[0] if (column.unit, column.scale) != ("", 1.0) else time_s
 
 
 def _increasing(where: str, time_s: FloatArray) -> NDArray[np.intp]:

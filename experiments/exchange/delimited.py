@@ -53,8 +53,7 @@ def read_delimited(path: Path) -> ImportedFile:
     names = _names(lines, dialect)
     columns: list[list[float]] = [[] for _ in names]
     bad: dict[int, list[Wrong]] = defaultdict(list)
-    rows: list[list[str]] = []
-    long: list[Wrong] = []
+    rows, long = list[list[str]](), list[Wrong]()
     for number, line in enumerate(lines[dialect.first:], dialect.first + 1):
         if not line.strip():
             continue
@@ -119,15 +118,9 @@ def _number(cell: str, decimal: str) -> float | None:
 
 def _sniff(lines: list[str]) -> Dialect | None:
     """The dialect with most numbers in the first lines."""
-    best, most = None, 0
-    for separator in SEPARATORS:
-        for decimal in ".,":
-            if decimal == separator:
-                continue
-            found = _block(lines[:SNIFFED_LINES], separator, decimal)
-            if found is not None and found[1] > most:
-                best, most = found
-    return best
+    found = [block for separator in SEPARATORS for decimal in ".," if decimal != separator
+             and (block := _block(lines[:SNIFFED_LINES], separator, decimal)) is not None]
+    return max(found, key=lambda block: block[1], default=(None, 0))[0]
 
 
 def _block(lines: list[str], separator: str, decimal: str) -> tuple[Dialect, int] | None:

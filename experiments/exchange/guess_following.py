@@ -84,7 +84,7 @@ def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
     columns, notes = {}, {}
     for k, rate in of_joints(named, rates_of(imported)).items():
         name, command = commands[k]
-        unit = unit_in_name(rate, "gyro_radps") or (f"{command.unit}/s" if command.unit else "")
+        unit = unit_in_name(rate, "gyro_radps") or (command.unit and f"{command.unit}/s")
         wanted, own = name.replace("q", "qd", 1).replace("rad", "radps"), Column(name=rate, unit=unit)
         run = apply_map(imported, only_time(guess.columns) | {name: command, wanted: own})
         sign = is_rate_of(run[wanted], run[name], run.rate_hz) if wanted in run and name in run else 0

@@ -112,18 +112,10 @@ def has(imported: ImportedFile, *kinds: str) -> bool:
 
 def fitting(imported: ImportedFile, kind: str, measured: bool = True) -> list[str]:
     """The columns that may be of this kind by their names, the most likely first."""
-    ranked: list[tuple[bool, bool, int, str]] = []
-    for name in imported.names:
-        commanded = says(name, NOT_MEASURED)
-        if kind_of(name) != kind or commanded == measured or says(name, TIME_NAMES):
-            continue
-        if kind in ("q1", "q2") and says(name, NOT_AN_ANGLE):
-            continue
-        if changes(imported.values(name)):
-            knee = says(name, "knee|knie|2")
-            current = says(name, "current|strom|iq")
-            ranked.append((knee, not current, -len(ranked), name))
-    return [name for *_, name in sorted(ranked, reverse=True)]
+    found = [name for name in imported.names if kind_of(name) == kind and says(name, NOT_MEASURED) != measured
+             and not says(name, TIME_NAMES) and not (kind in ("q1", "q2") and says(name, NOT_AN_ANGLE))
+             and changes(imported.values(name))]
+    return sorted(found, key=lambda name: (not says(name, "knee|knie|2"), says(name, "current|strom|iq")))
 
 
 def measured_columns(imported: ImportedFile, *kinds: str) -> list[str]:

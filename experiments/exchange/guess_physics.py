@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from itertools import product
 from typing import Literal, NamedTuple
 
-import msgspec
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from daq import Column, Dataset, FloatArray
 from estimator.model import leg2
@@ -155,9 +156,9 @@ def scale_warnings(name: str, torque: Column) -> list[str]:
             + ("" if torque.unit else " if it is not in N m at the joint")]
 
 
-def band_hz(rate_hz: float) -> float:
-    """Cutoff [Hz] below which a record's motion counts."""
-    return min(FAST_HZ, 0.2 * rate_hz)
+def smooth(x: FloatArray, rate_hz: float) -> FloatArray:
+    """(n, ...) without gaps and without what is faster than a record's motion."""
+    return lowpass(filled(x), min(FAST_HZ, 0.2 * rate_hz), rate_hz)
 
 
 def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
@@ -170,7 +171,7 @@ def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
 
 def _band(x: FloatArray, rate_hz: float) -> FloatArray:
     """(n,) without what drifts and what only rings."""
-    return lowpass(x, band_hz(rate_hz), rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
+    return smooth(x, rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
 
 
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float
@@ -228,18 +229,17 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         warnings.append(f"the knee's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
                         f"{100 * first.left:.0f} % of {short}, {second.unit or 'rad'}, sign {second.sign:+d}, "
                         f"{100 * second.left:.0f} %; look at the plot")
-    out = {"q2_rad": msgspec.structs.replace(knee, unit=first.unit, sign=first.sign)}
-    for name in ("tau2_nm", "tau2_cmd_nm"):
-        if name in columns:
-            out[name] = msgspec.structs.replace(columns[name], sign=first.works)
+    out = {"q2_rad": structs.replace(knee, unit=first.unit, sign=first.sign)}
+    out |= {name: structs.replace(columns[name], sign=first.works) for name in ("tau2_nm", "tau2_cmd_nm")
+            if name in columns}
     if torque is None:
         command = columns["q2_cmd_rad"]
-        out["q2_cmd_rad"] = msgspec.structs.replace(
+        out["q2_cmd_rad"] = structs.replace(
             command, unit=command.unit or first.unit, sign=command.sign if first.sign > 0 else -command.sign)
         warnings += unexplained  # a loop's delay or integral is in the error, too
         unexplained, known = [], True
     if pose is None and "q1_rad" in columns:
-        out["q1_rad"] = msgspec.structs.replace(columns["q1_rad"], unit=first.hip_unit)
+        out["q1_rad"] = structs.replace(columns["q1_rad"], unit=first.hip_unit)
     notes = {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
@@ -253,7 +253,7 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         warnings += scale_warnings("tau2_nm", torque)
     if not knee.unit and says(knee.name, "motor"):
         warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
-    read = first.works * lowpass(push, band_hz(raw.rate_hz), raw.rate_hz)
+    read = first.works * smooth(push, raw.rate_hz)
     return Found(out, notes, warnings, unexplained, (read, first.works * first.made), left=first.left)
 
 
@@ -292,8 +292,7 @@ def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
 def _near_gaps(gap: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
     """(n,) True in and next to gaps that are too long to interpolate linearly."""
     def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
-        reach = round(seconds * rate_hz)
-        return np.convolve(where, np.ones(2 * reach + 1))[reach:reach + where.size] > 0.5
+        return binary_dilation(where, np.ones(2 * round(seconds * rate_hz) + 1, bool))
 
     inner = ~reached(~gap, 0.5 * BRIDGED_S)
     return reached(inner, 0.5 * BRIDGED_S + RING_S)
@@ -308,17 +307,16 @@ def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.
     A beta without positive inertias is no leg's: its residual counts as the whole torque.
     """
     mechanism = leg2(gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
-    cutoff = band_hz(rate_hz)
-    q = lowpass(np.stack([hip.q1, q2], axis=-1), cutoff, rate_hz)
-    rate = lowpass(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), cutoff, rate_hz)
+    q = smooth(np.stack([hip.q1, q2], axis=-1), rate_hz)
+    rate = smooth(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), rate_hz)
     z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
     use = counts.copy()
     if len(q) > 6 * rate_hz:
         use[:int(rate_hz)] = use[-int(rate_hz):] = False
-    tau = lowpass(torque, cutoff, rate_hz)
+    tau = smooth(torque, rate_hz)
     rows = np.concatenate([z[use, 0], z[use, 1]])
     wanted = np.concatenate([np.zeros(int(use.sum())), tau[use]])
     beta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     left = share_left(wanted, rows @ beta)
     sane = beta[0] * beta[1] > 0 and beta[2] ** 2 < beta[0] * beta[1]
-    return left if sane else max(left, 1.0), beta, np.asarray(z[:, 1] @ beta)
+    return left if sane else max(left, 1.0), beta, z[:, 1] @ beta

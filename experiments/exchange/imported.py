@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
 from daq import FloatArray, InputError
 
 
@@ -73,13 +71,3 @@ def by_length(columns: Mapping[str, FloatArray]) -> tuple[Table, ...]:
     """Columns (n,) grouped into tables, the longest first."""
     lengths = sorted({values.size for values in columns.values()}, reverse=True)
     return tuple(Table({name: values for name, values in columns.items() if values.size == n}) for n in lengths)
-
-
-def as_floats(values: object) -> FloatArray | None:
-    """(n,) floats of what a file holds, times as seconds; None where it is no column of numbers."""
-    array = np.asarray(values)
-    if array.ndim != 1 or array.size < 2:
-        return None
-    if array.dtype.kind == "M":
-        return np.asarray((array - array[0]).astype("timedelta64[ns]").astype(np.float64) * 1e-9)
-    return array.astype(np.float64) if array.dtype.kind in "fiub" else None

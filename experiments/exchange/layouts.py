@@ -24,10 +24,12 @@ from daq import Column, InputError, read_bytes
 from daq.runs import ENABLED, LOAD_COLUMN
 from experiments.exchange.guess_names import says
 from experiments.exchange.imported import ImportedFile, Table
-from experiments.exchange.registers import PWM_FULL, angle_register, maker, motor_registers
+from experiments.exchange.registers import PWM_FULL, angle_register, known, maker, motor_registers
 from experiments.exchange.units import unit_in_name
 
 STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
+ROBOT = "lerobot.robot"
+"""Fact of a LeRobot file: the robot's type, empty where no file states it."""
 LOADS = {"observation.effort": "observation.load_effort", "observation.current": "observation.load_current"}
 """Feature of a data set without a unit -> its columns' name here, which no guess takes for a torque"""
 BAM_ANGLE, BAM_GOAL, BAM_ON = "entries.position", "entries.goal_position", "entries.torque_enable"
@@ -70,14 +72,13 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
         rows, cell = episodes == number, f"{{{k}}}" if numbers.size > 1 else ""
         tables.append(Table({f"{new}{cell}": table.columns[old][rows] for old, new in called.items()},
                             table.columns["timestamp"][rows]))
-    return replace(imported, tables=tuple(tables), facts={**imported.facts, "layout": "lerobot",
-                                                             "lerobot.robot": robot})
+    return replace(imported, tables=tuple(tables), facts={**imported.facts, ROBOT: robot})
 
 
 def _called(name: str, names: Mapping[str, list[str]]) -> str:
     kind, _, number = name.rstrip("]").partition("[")
-    known = names.get(kind, [])
-    joint = known[int(number) - 1] if int(number) <= len(known) else ""
+    joints = names.get(kind, [])
+    joint = joints[int(number) - 1] if int(number) <= len(joints) else ""
     if kind in LOADS:
         kind, joint = LOADS[kind], SIGNAL.sub("", joint)
     return f"{kind}.{joint}" if joint else f"{kind}[{number}]"
@@ -103,7 +104,7 @@ def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
 
 def stated(imported: ImportedFile, name: str, contract: str) -> Column:
     """Column `name` as its layout means it, in the units of the layout; else with the unit that its name states."""
-    if imported.facts.get("layout") == "lerobot":
+    if ROBOT in imported.facts:
         return Column(name=name, unit="deg" if _counts_degrees(imported) else "")
     if PACE.match(name) or name in (BAM_ANGLE, BAM_GOAL):
         return Column(name=name, unit="rad")
@@ -136,13 +137,12 @@ def motor_columns(imported: ImportedFile) -> dict[str, Column]:
     if BAM_LOAD not in imported.names or BAM_VOLTS not in imported.names:
         return motor_registers(imported)
     on = imported.values(BAM_ON) if BAM_ON in imported.names else np.ones(1)
-    known = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
-    load = imported.values(BAM_LOAD)
-    load = load[np.isfinite(load)]
-    if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
-        return known  # of other servos BAM does not say what its load is
+    columns = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
+    load = known(imported, BAM_LOAD)
+    if not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
+        return columns  # of other servos BAM does not say what its load is
     counts = np.abs(load).max() > 1.0
-    return known | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
+    return columns | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
 
 
 def without_sign(imported: ImportedFile, name: str) -> bool:
@@ -153,7 +153,7 @@ def without_sign(imported: ImportedFile, name: str) -> bool:
 
 def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[str]:
     """Sentences on what the files of a layout leave open."""
-    if imported.facts.get("layout") == "lerobot":
+    if ROBOT in imported.facts:
         loads = {name: column for name, column in used.items() if LOAD_COLUMN.fullmatch(name)}
         return [_lerobot(imported, used), *([_unit_of_loads(loads)] if loads else [])]
     if BAM_ANGLE in imported.names:
@@ -176,13 +176,13 @@ def _unit_of_loads(loads: Mapping[str, Column]) -> str:
 
 def _counts_degrees(imported: ImportedFile) -> bool:
     """The robot is one of hobby servos, whose angles LeRobot gives in degrees or in per cent; or nothing is known."""
-    robot = imported.facts.get("lerobot.robot", "")
+    robot = imported.facts.get(ROBOT, "")
     return not robot or says(robot, HOBBY)
 
 
 def _lerobot(imported: ImportedFile, used: Mapping[str, Column]) -> str:
     if not _counts_degrees(imported):
-        return (f"LeRobot's files do not say the unit of the angles of {imported.facts['lerobot.robot']!r}, nor where "
+        return (f"LeRobot's files do not say the unit of the angles of {imported.facts[ROBOT]!r}, nor where "
                 "their zero is: set unit and offset by the robot's description")
     bare = [column.name.partition("{")[0] for name, column in used.items() if name.endswith("_rad")]
     far = max((float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) for table in imported.tables

@@ -43,13 +43,13 @@ SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5
 PICKLES = {".pkl": "pickle", ".pickle": "pickle", ".pt": "PyTorch", ".pth": "PyTorch"}
 """Files that hold a program, which legid does not run -> whose."""
 
-_BAG = Reader(read_bag, "a ROS bag", "rosbags.highlevel")
+_BAG, _CAN = Reader(read_bag, "a ROS bag", "rosbags.highlevel"), Reader(read_can_log, "a CAN log", "can")
 _READERS: tuple[tuple[tuple[str, ...], Reader], ...] = (
     ((".mcap", ".db3", ".bag"), _BAG), ((".mat",), Reader(read_mat, "a MATLAB file", "scipy.io")),
     ((".h5", ".hdf5"), Reader(read_hdf5, library="h5py")), ((".npz", ".npy"), Reader(read_numpy)),
     ((".json",), Reader(read_json)),
     ((".parquet",), Reader(read_parquet, "Parquet", "pyarrow.parquet")),
-    (CAN_LOGS, Reader(read_can_log, "a CAN log", "can")), (TEXT, Reader(read_delimited, "a table of text")))
+    (CAN_LOGS, _CAN), (TEXT, Reader(read_delimited, "a table of text")))
 """Ending of the name -> what reads it."""
 
 
@@ -68,9 +68,10 @@ def read_imported(path: Path | str) -> ImportedFile:
         raise InputError(str(path), "is a pointer of Git LFS, not the file", "fetch it with git lfs pull")
     reader = next((reader for endings, reader in _READERS if name.endswith(endings)), None)
     if name.endswith(".log") and is_candump(path):
-        reader = Reader(read_can_log, "a CAN log", "can")
-    if path.suffix.lower() in PICKLES:
-        raise InputError(str(path), f"is a {PICKLES[path.suffix.lower()]} file, a program that legid does not run",
+        reader = _CAN
+    program = PICKLES.get(path.suffix.lower())
+    if program is not None:
+        raise InputError(str(path), f"is a {program} file, a program that legid does not run",
                          "save its columns as CSV, Parquet or .npz: see docs/exchange.md, Kinds of file")
     if reader is None:
         raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")

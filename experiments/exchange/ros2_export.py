@@ -22,7 +22,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from daq import Dataset, FloatArray, InputError, Rig, load_rig, write_file
-from daq.runs import IMU, RawRun, read_run
+from daq.runs import IMU, read_run
 from daq.timing import TimedColumns, decode, recorded_rig
 from experiments.exchange.reading import is_native, load_to_convert
 
@@ -66,15 +66,11 @@ def _samples(path: Path | str, rig_path: Path | str | None) -> tuple[list[TimedC
     raw = read_run(path)
     rig: Rig = recorded_rig(raw) if rig_path is None else load_rig(rig_path)
     found = decode(raw, rig)
-    start_ns, notes = _wall_clock_ns(raw, found.epoch_ns)
-    return found.channels, start_ns, found.bound_s, notes
-
-
-def _wall_clock_ns(raw: RawRun, epoch_ns: int) -> tuple[int, list[str]]:
-    facts = raw.facts
-    if "started_unix_ns" not in facts or "started_monotonic_ns" not in facts:
-        return 0, ["the run does not say when it was recorded: times count from 1970"]
-    return int(facts["started_unix_ns"]) - int(facts["started_monotonic_ns"]) + epoch_ns, []
+    if not {"started_unix_ns", "started_monotonic_ns"} <= raw.facts.keys():
+        notes = ["the run does not say when it was recorded: times count from 1970"]
+        return found.channels, 0, found.bound_s, notes
+    start_ns = int(raw.facts["started_unix_ns"]) - int(raw.facts["started_monotonic_ns"]) + found.epoch_ns
+    return found.channels, start_ns, found.bound_s, []
 
 
 def _messages(channels: Sequence[TimedColumns], start_ns: int, store: Any) -> dict[str, tuple[str, list[Message]]]:

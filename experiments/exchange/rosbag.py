@@ -22,7 +22,6 @@ import numpy as np
 from daq import FloatArray, InputError
 from experiments.exchange.imported import ImportedFile, Table
 
-SUFFIXES = (".mcap", ".db3", ".bag")
 PARALLEL = {"position": "position", "velocity": "velocity", "effort": "effort",
             "positions": "position", "velocities": "velocity", "accelerations": "acceleration"}
 """Fields of a JointState, or of a point in a controller's state, that go with the names of joints -> what one is."""

@@ -11,51 +11,48 @@ Cells, lists of trials and arrays of three dimensions are left out with a reason
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from daq import FloatArray
-from experiments.exchange.imported import as_floats
 
 LONGEST = 64
 """More columns than this are images and clouds, not signals."""
 FEWEST_RECORDS = 20
 """A shorter list of mappings is a list of trials, not of samples."""
 NO_TABLE = "is no table of numbers: save each of its parts under a name of its own"
-Columns = tuple[dict[str, FloatArray], dict[str, str]]
 
 
-def columns_of(value: Any, prefix: str = "", joint: str = ".") -> Columns:
+def columns_of(value: Any, prefix: str = "", joint: str = ".") -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Name -> (n,) numbers of every column in `value`, and name -> reason of each part that is no table."""
-    found: Columns = {}, {}
-    _add(found, value, prefix, joint)
-    return found
+    parts = list(_parts(value, prefix, joint))
+    return ({name: numbers for name, numbers in parts if numbers is not None},
+            {name: NO_TABLE for name, numbers in parts if numbers is None})
 
 
-def _add(found: Columns, value: Any, prefix: str, joint: str) -> None:
-    columns, left_out = found
+def _parts(value: Any, prefix: str, joint: str) -> Iterator[tuple[str, FloatArray | None]]:
+    """(name, (n,) numbers) of every column; None for what is no table."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         value = {name: value[name] for name in value.dtype.names}
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
         items = list(value.ravel()) if isinstance(value, np.ndarray) else list(value)
         value = _stacked(items)
         if value is None and not all(isinstance(item, str | bytes | int | float | None) for item in items):
-            left_out[prefix] = NO_TABLE
+            yield prefix, None
     if isinstance(value, Mapping):
         for name, inner in value.items():
-            _add(found, inner, f"{prefix}{joint}{name}" if prefix else str(name), joint)
+            yield from _parts(inner, f"{prefix}{joint}{name}" if prefix else str(name), joint)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        value = value.squeeze() if value.ndim > 1 else value
+        value = value.squeeze()
         if value.ndim > 2:
-            left_out[prefix] = NO_TABLE
-        elif value.ndim == 1 and (numbers := as_floats(value)) is not None:
-            columns[prefix] = numbers
+            yield prefix, None
+        elif value.ndim == 1 and value.size > 1:
+            yield prefix, value.astype(np.float64)
         elif value.ndim == 2 and min(value.shape) <= LONGEST:
             for k, column in enumerate(value.T if value.shape[1] <= value.shape[0] else value, 1):
-                if (numbers := as_floats(column)) is not None:
-                    columns[f"{prefix}[{k}]"] = numbers
+                yield f"{prefix}[{k}]", column.astype(np.float64)
 
 
 def _stacked(items: list[Any]) -> np.ndarray | dict[str, Any] | None:
