@@ -42,6 +42,7 @@ CLI = "experiments.cli"
 OF_DAQ = {"Dataset", "FloatArray", "Loop"}
 """What the estimator knows of daq."""
 FILES = sorted(p for floor in FLOORS for p in (ROOT / floor).rglob("*.py"))
+BESIDE = sorted(p for folder in ("tests", "evidence") for p in (ROOT / folder).rglob("*.py"))
 
 
 def module_of(path: Path) -> str:
@@ -174,8 +175,7 @@ def test_no_circle_of_modules() -> None:
     storeys({module: set(needs(module)) & MODULES.keys() for module in MODULES})
 
 
-@pytest.mark.parametrize("path", [*FILES, *sorted((ROOT / "tests").rglob("*.py"))],
-                         ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("path", [*FILES, *BESIDE], ids=lambda p: str(p.relative_to(ROOT)))
 def test_no_file_is_too_long(path: Path) -> None:
     lines = len(path.read_text().splitlines())
     assert lines <= TOO_LONG
@@ -197,9 +197,10 @@ def test_a_circle_and_a_look_past_a_face_would_be_seen(monkeypatch: pytest.Monke
 
 
 def test_tests_take_nothing_from_each_other_but_by_support() -> None:
-    """And from what they test: the bench, the blind test, the studies."""
-    for path in (ROOT / "tests").rglob("*.py"):
+    """And from what they test: the packages and the programs that measure, which take from tests only the support."""
+    for path in BESIDE:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
+                assert path.is_relative_to(ROOT / "tests") or node.module.startswith("tests.support"), path
                 names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
                 assert not any(part.startswith("test_") for name in names for part in name.split(".")), path

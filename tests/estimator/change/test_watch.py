@@ -16,8 +16,8 @@ from estimator.change.structure import find_structure
 from estimator.errors import FitError
 from estimator.loops import LawSizes
 from estimator.score import Score, total
-from tests.evidence import watch as study
-from tests.evidence.blind.stickslip import MAKERS
+from evidence import watch as study
+from evidence.blind.stickslip import MAKERS
 
 COLUMNS, BLOCKS = 8, 4
 

@@ -47,11 +47,11 @@ from estimator.options import FitOptions
 from estimator.prediction import per_value, white_noise
 from estimator.signals import IMU_COLUMNS
 from estimator.signals.segments import SignalSet
-from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case
-from tests.evidence.blind.effects import MOTOR_INERTIA
-from tests.evidence.blind.leg import stack
-from tests.evidence.blind.measure import RATE_HZ, disturb, read
-from tests.evidence.blind.physics import integrate
+from evidence.blind.cases import DrawnCase, catalogue, draw_case
+from evidence.blind.effects import MOTOR_INERTIA
+from evidence.blind.leg import stack
+from evidence.blind.measure import RATE_HZ, disturb, read
+from evidence.blind.physics import integrate
 from tests.support.driven_pendulum import mechanism, pendulum_run
 
 COUNT, RUNS = 800, 4

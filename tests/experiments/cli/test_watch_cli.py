@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import legid
+from evidence.blind.stickslip import MAKERS, Readings
 from experiments import cli
 from experiments.workflows import arrivals
-from tests.evidence.blind.stickslip import MAKERS, Readings
 from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.pages import Outside
 

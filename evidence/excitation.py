@@ -1,0 +1,197 @@
+"""Plain sine, chirp and designed plan of one length and one set of limits, by refits on the emulated leg.
+
+    python -m evidence excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
+
+It prints what stands under "Limits" in docs/evidence/excitation.md.
+
+Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
+model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that
+same prior allows within the same share of the same limits. For every plan, models 20 % away from the prior keep the
+whole limits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from daq.recording.plan import Plan
+from daq.rig import Rig, parse_rig
+from daq.rig_limits import Limits
+from estimator.fitting.fit import fit
+from evidence.kept import kept
+from evidence.registry import Evidence
+from experiments.emulation.emulated_rig import record_emulated
+from experiments.emulation.plant import LegBody
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
+from experiments.models.mechanism_settings import build_mechanism
+from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.reports.html import Table
+from experiments.reports.markdown import markdown_table
+from experiments.session import prepare
+from studies.machine import machine
+
+WRONG = 0.2
+MARGIN = 0.8
+PRIOR_SEED = 5
+NOISE = {"torque_nm": 0.0076, "encoder_rad": 1e-4, "gyro_radps": 0.0031, "accel_mps2": 0.04}
+"""Of the prior model: what fits of this rig find."""
+LIMITS = {"wide": Limits(torque_nm=2.0, speed_radps=25.0, q1_rad=1.5, q2_rad=3.0),
+          "tight": Limits(torque_nm=1.5, speed_radps=8.0, q1_rad=0.6, q2_rad=1.2)}
+"""Those of the demo's rig, and those of a leg between close stops."""
+
+USUAL = "chirp 0.1-5 Hz"
+CHIRPS = (USUAL, "log chirp 0.1-5 Hz")
+DESIGNS = ("design, d", "design, worst")
+
+
+@dataclass(frozen=True)
+class Refits:
+    """Fits of one plan's runs."""
+
+    plan: Plan
+    std: np.ndarray
+    """(seeds, p) standard errors that the fits state."""
+    error: np.ndarray
+    """(seeds, p) estimate minus truth."""
+
+
+def prior_model(body: LegBody) -> Model:
+    """The leg's parameters, each 20 % off."""
+    sign = np.sign(np.random.default_rng(PRIOR_SEED).standard_normal(9))
+    settings = MechanismSettings(model="leg2", actuated=(2,), lever_arm_m=0.2)
+    values = np.array(body.beta()) * (1.0 + WRONG * sign)
+    parameters = tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(v))
+                       for p, v in zip(build_mechanism(settings).parameters, values))
+    return Model(schema="legid.model/1", mechanism=settings, parameters=parameters, noise=NOISE, hold="zero",
+                 covariance=tuple((None,) * 9 for _ in range(9)),
+                 provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
+
+
+def sine(seconds: float, hz: float = 0.5) -> np.ndarray:
+    """Unit sine, its ends faded."""
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    return _faded(np.sin(2 * np.pi * hz * t), t)
+
+
+def chirp(seconds: float, low_hz: float, high_hz: float, logarithmic: bool = False) -> np.ndarray:
+    """Unit chirp, its ends faded; frequency rises evenly in time, or evenly in octaves."""
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    rise = np.log(high_hz / low_hz)
+    phase = low_hz * seconds / rise * np.expm1(rise * t / seconds) if logarithmic else \
+        low_hz * t + (high_hz - low_hz) * t**2 / (2 * seconds)
+    return _faded(np.sin(2 * np.pi * phase), t)
+
+
+def _faded(wave: np.ndarray, t: np.ndarray) -> np.ndarray:
+    wave = wave * np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0.0, 1.0)
+    return np.asarray(wave / np.abs(wave).max())
+
+
+def plans(bench: Bench, seconds: float) -> dict[str, Candidate]:
+    """Name -> plan, all within the same limits by the same prior."""
+    shapes = {"sine 0.5 Hz": sine(seconds), CHIRPS[0]: chirp(seconds, 0.1, 5.0),
+              CHIRPS[1]: chirp(seconds, 0.1, 5.0, True)}
+    found: dict[str, Candidate] = {}
+    for name, shape in shapes.items():
+        candidate = bench.sized(shape, MARGIN)
+        if candidate is None:
+            raise SystemExit(f"{name}: no size keeps the limits")
+        found[name] = candidate
+    for name in DESIGNS:
+        criterion = name.removeprefix("design, ")
+        found[name] = design(bench, Band(seconds, 0.0, 3.0),
+                             Search(margin=MARGIN, criterion=criterion)).best
+    return found
+
+
+@kept
+def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBody) -> Refits:
+    """Record on the emulated leg and fit, once a seed."""
+    truth, std, error = np.array(body.beta()), [], []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "run.mcap"
+            record_emulated(path, rig, rig_text, plan, seed, body)  # raises where the leg leaves the limits
+            setup = prepare([path], rig).setup
+        found = fit(setup.datasets, setup.mechanism, setup.options)
+        if not found.converged:
+            raise SystemExit(f"seed {seed}: the fit did not converge")
+        std.append(found.std)
+        error.append(found.beta - truth)
+    return Refits(plan, np.array(std), np.array(error))
+
+
+def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> list[str]:
+    """Markdown of one set of limits."""
+    text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
+    for key in ("torque_nm", "speed_radps", "q1_rad", "q2_rad"):
+        text = re.sub(rf"^{key} = .*$", f"{key} = {getattr(limits, key)}", text, flags=re.MULTILINE)
+    rig = parse_rig(text, "demo_rig.toml")
+    body = LegBody()
+    truth = np.array(body.beta())
+    bench = Bench(prior_model(body), rig, "prior", WRONG)
+    candidates = plans(bench, seconds)
+    found = {kind: refit(c.plan, rig, text, seeds, body) for kind, c in candidates.items()}
+    per_minute = 100.0 * np.sqrt(seconds / 60.0) / truth
+    stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
+    actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
+    floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.planned_hz) / truth[-1]
+    angles = f"q1 {limits.q1_rad:g} rad, q2 {limits.q2_rad:g} rad"
+    lines = [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, {angles}", "",
+             _table("Standard error that the refits state, for one minute of experiment, per cent of the value",
+                    stated, bench.mechanism.names), "",
+             _table("Root mean square of the refits' errors about the truth, for one minute of experiment, per cent of "
+                    "the value", actual, bench.mechanism.names), ""]
+    lines += ["| design | against | its worst parameter | of its error, stated and actual | largest against largest "
+              "| geometric mean |", "| --- | --- | --- | --- | --- | --- |"]
+    lines += [_against(kind, usual, stated, actual, bench.mechanism.names) for kind in DESIGNS for usual in CHIRPS]
+    peaks = candidates[USUAL].peaks
+    lines += ["", f"| plan, peaks by the prior | {' | '.join(peaks)} |", "| --- |" + " ---: |" * len(peaks)]
+    lines += [f"| {kind} | {' | '.join(f'{v:.2f}' for v in c.peaks.values())} |" for kind, c in candidates.items()]
+    off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
+    return [*lines, "",
+            f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
+            f"{np.sqrt(np.mean(off**2)):.2f}.",
+            f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
+            f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}. Machine: "
+            f"{machine()}."]
+
+
+def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray],
+             names: Sequence[str]) -> str:
+    worst = int(np.argmax(stated[usual]))
+    ratio, real = stated[kind] / stated[usual], actual[kind] / actual[usual]
+    return (f"| {kind} | {usual} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
+            f"| {stated[kind].max() / stated[usual].max():.2f}, {actual[kind].max() / actual[usual].max():.2f} "
+            f"| {np.exp(np.log(ratio).mean()):.2f}, {np.exp(np.log(real).mean()):.2f} |")
+
+
+def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
+    body = [[kind, *(f"{value:.3f}" for value in row), f"{row.max():.3f}"] for kind, row in rows.items()]
+    return markdown_table(Table(header=["", *names, "largest"], rows=body, caption=caption,
+                                right=range(1, len(names) + 2)))
+
+
+EVIDENCE = (
+    Evidence("A designed plan against a chirp of the same length and limits, by refits",
+             "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
+             (r"largest actual error against largest, default design \| \S+ \| \S+",),
+             r"noise seeds (\d+ to \d+)"),)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--limits", default="wide,tight")
+    args = parser.parse_args(arguments)
+    for name in args.limits.split(","):
+        print("\n".join(section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))), end="\n\n", flush=True)
