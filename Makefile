@@ -13,8 +13,8 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure servos servo-laws investigate payloads changed-families looks compensation lab-chain timing tuning engines trust wheel arm64 \
+.PHONY: install demo drives test test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned \
+	table5 replication imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate servos servo-laws investigate payloads looks compensation lab-chain timing tuning engines trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -115,11 +115,6 @@ FILES ?= 100000
 mutate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence mutate --files $(FILES) $(if $(MINUTES),--minutes $(MINUTES))
 
-# The same files, but mutated towards new code of the readers. Needs Atheris, which has wheels for x86-64 alone.
-guided: $(STAMP)
-	@$(BIN)/python -c 'import atheris' 2>/dev/null || { echo "make guided needs Atheris: $(BIN)/pip install atheris"; exit 1; }
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence guided --minutes $(or $(MINUTES),20)
-
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200
 PLANT ?= stickslip
@@ -136,10 +131,6 @@ table5: $(STAMP)
 RUNS ?= 200
 replication: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence replication --runs $(RUNS) --out docs/evidence/replication.md
-
-# Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
-seven-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence seven-links --fits $(FITS) --out docs/evidence/seven-links.md
 
 # Twenty steps of a walker: touchdowns, fits, free runs over steps, diagnoses. Half an hour.
 WALKS ?= 24
@@ -164,10 +155,6 @@ servo-laws: $(STAMP)
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence runs --fits $(FITS) --out docs/evidence/runs.md
-
-# Two of nine parameters known from elsewhere, on legs that swing little: do the other intervals hold? FITS=60: a minute.
-prior: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence prior --fits $(FITS) --out docs/evidence/prior.md
 
 # Faults in the later runs of real records next to the checkout; the earlier runs are the reference. Half an hour.
 changed: $(STAMP)
@@ -194,20 +181,10 @@ tuning: $(STAMP)
 engines: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence engines --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6200) --out docs/evidence/engines.md
 
-# Legs with causes outside the library, and real records next to the checkout (RECORDS="FOLDER..."): a quarter of an hour.
-structure: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence structure --folder build/evidence/structure $(if $(RECORDS),--records $(RECORDS)) \
-		--out docs/evidence/structure.md
-
 # Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
 investigate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence investigate --minutes $(or $(MINUTES),60) \
 		--out docs/evidence/investigate.md
-
-# A change of one effect on five families of legs with small faults, 40 s a case: 45 minutes.
-changed-families: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence changed-families --minutes $(or $(MINUTES),45) \
-		--out docs/evidence/changed-families.md
 
 # Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
 simulators: $(STAMP)

@@ -1,7 +1,7 @@
 """The one door to the programs that measure.
 
     python -m evidence                        # what there is, and how long it takes
-    python -m evidence NAME [ARGUMENT ...]    # run one: soak, seven-links, blind.causes
+    python -m evidence NAME [ARGUMENT ...]    # run one: soak, imu-links, blind.causes
     python -m evidence --index                # docs/evidence/index.md anew
 """
 

@@ -206,8 +206,7 @@ def page(minutes: float) -> Iterator[str]:
         "and the error is the rms over the angles. The servo's runs hold four kinds of motion under two controllers, "
         "so its reference and test runs mostly hold different motion. The form of the model of unexplained structure "
         "was chosen on splits of `a0` and the servo. The rules for further sizes and for left-out runs were chosen on "
-        "all three records. The arms showed that declared zeros of encoders must be unknown in each run. So [legs of "
-        "other makes](changed-families.md) judge these rules.", "",
+        "all three records. The arms showed that declared zeros of encoders must be unknown in each run.", "",
         f"| | {' | '.join(f'ratio {ratio:g}' for ratio in RATIOS)} | all | wanted |",
         f"| --- |{' --- |' * len(RATIOS)} --- | --- |",
         f"| fault in the answer | {' | '.join(map(counted, by_ratio))} | {counted(spoiled)} | 80, 90, 95 % |",

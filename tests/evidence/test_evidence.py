@@ -47,7 +47,7 @@ def test_every_program_says_its_arguments(name: str, capsys: pytest.CaptureFixtu
 
 def test_the_runner_lists_runs_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
-    assert "make seven-links" in capsys.readouterr().out
+    assert "make imu-links" in capsys.readouterr().out
     assert main(["no-such-thing"]) == 2
     assert main(["fault-list"]) == 2
     assert "part of other programs" in capsys.readouterr().err
