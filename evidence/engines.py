@@ -6,26 +6,19 @@ so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import count, product
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 
-import legid
-from daq import Dataset, Rig, load_rig
-from daq.runs import write_csv
+from daq import Dataset
+from evidence.frame import Lines, program, share, table, within
 from evidence.kept import kept
-from evidence.known_legs import NAMES
-from evidence.page_file import within, write_page
+from evidence.known_legs import answered
 from evidence.registry import Evidence
-from evidence.timing import drawn, share
-from experiments.session import as_datasets
-from studies import machine
+from evidence.timing import drawn
 from tests.support.engine_leg import MODULES, missing
 from tests.support.engine_leg import record as simulated
 from tests.support.mujoco_leg import Leg, random_leg
@@ -59,24 +52,13 @@ class Healthy(NamedTuple):
     """What the run's flag on its grid says; empty without one"""
 
 
-def answered(leg: Leg, runs: Sequence[Dataset], stated_hz: float = 0.0
-             ) -> tuple[str, str, tuple[bool, ...], float, str]:
-    """Verdict, trust, coverage, noise of the torque and flag on the grid, from files."""
-    with TemporaryDirectory() as folder:
-        files = [Path(folder) / f"{run.name}.csv" for run in runs]
-        for run, file in zip(runs, files, strict=True):
-            write_csv(run, file)
-        rig_file = Path(folder) / "rig.toml"
-        rig_file.write_text(f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n'
-                            + (f"[sampling]\nrate_hz = {stated_hz}\n" if stated_hz else ""), encoding="utf-8")
-        rig: Rig = load_rig(rig_file)
-        read = as_datasets(files, rig, False)
-        fit, found = legid.fit(read, rig), legid.diagnose(read, rig)
-    intervals = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))
-    inside = tuple(bool(intervals[name][0] <= b <= intervals[name][1])
-                   for name, b in zip(NAMES, leg.beta(), strict=True))
+def healthy(engine: str, timing: Timing, log_hz: float, counts: int, leg: Leg, runs: Sequence[Dataset],
+            stated_hz: float = 0.0) -> Healthy:
+    """The answers, and the run's flag on its grid."""
+    fit, inside, trust, found, read = answered(leg, runs, f"[sampling]\nrate_hz = {stated_hz}\n" * (stated_hz > 0.0))
     said = next((flag.text for flag in read[0].flags if flag.kind == "grid"), "")
-    return found.verdict, str(fit.trust).split(" the ")[0], inside, fit.levels.get("torque_nm", np.nan), said
+    return Healthy(engine, timing.loop, log_hz, counts, stated_hz, found.verdict, trust, inside,
+                   fit.levels.get("torque_nm", np.nan), said)
 
 
 @kept
@@ -87,7 +69,7 @@ def of_engine(seed: int, turn: int, engine: str) -> Healthy:
     leg, timing = random_leg(rng), Timing(TICK_HZ, loop=loop)
     runs = [simulated(engine, leg, rng, timing, log_hz=log_hz, seconds=SECONDS, counts=counts, run=f"run{k}")
             for k in range(RUNS)]
-    return Healthy(engine, loop, log_hz, counts, 0.0, *answered(leg, runs))
+    return healthy(engine, timing, log_hz, counts, leg, runs)
 
 
 @kept
@@ -97,54 +79,42 @@ def of_rate(seed: int, turn: int, factor: float) -> Healthy:
     rng = np.random.default_rng([seed, turn, 5])
     leg, log_hz = random_leg(rng), timing.tick_hz / timing.log_every
     runs = [record(leg, rng, timing, seconds=SECONDS, name=f"run{k}") for k in range(RUNS)]
-    return Healthy(timing.between, timing.loop, log_hz, 16384, factor * log_hz, *answered(leg, runs, factor * log_hz))
+    return healthy(timing.between, timing, log_hz, 16384, leg, runs, factor * log_hz)
 
 
-def page(minutes: float, seed: int) -> Iterator[str]:
-    """The page, line by line."""
+def page(minutes: float = 60.0, seed: int = 6200) -> Lines:
     there = [engine for engine in MODULES if engine not in missing()]
     kinds: list[str | float] = [*there, *FACTORS]
     cases = ((turn, kind) for turn in count() for kind in kinds)
     found = [of_engine(seed, turn, kind) if isinstance(kind, str) else of_rate(seed, turn, kind)
              for turn, kind in within(minutes, cases)]
     legs, rated = [one for one in found if not one.stated_hz], [one for one in found if one.stated_hz]
-    near = [0.5 <= one.torque_nm / TORQUE_NM <= 2.0 for one in legs]
     yield from [
         "# Other engines and stated rates", "",
-        f"Made by `make engines MINUTES={minutes:g} SEED={seed}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, "
-        f"{machine()}.", "",
         f"Healthy legs of random parameters, {RUNS} runs of {SECONDS:g} s as CSV, answered by `legid fit` and `legid "
         "diagnose`. The rig file states no hold.", "",
         f"- Engines: {', '.join(there) or 'none is installed'}. A controller of {TICK_HZ:g} Hz holds its torque, open "
         "loop or by PD on the encoder."
         + "".join(f" {name} is not installed: its legs are left out." for name in missing()),
-        f"- Legs of other engines that end `none`: {share([one.verdict == 'none' for one in legs])} (98 % wanted).",
-        f"- Their fits say TRUST: {share([one.trust == 'TRUST' for one in legs])} (90 % wanted).",
+        f"- Legs of other engines that end `none`: {share(one.verdict == 'none' for one in legs)} (98 % wanted).",
+        f"- Their fits say TRUST: {share(one.trust == 'TRUST' for one in legs)} (90 % wanted).",
         "- Their beta1 to beta5 within the intervals: "
-        f"{share([w for one in legs for w in one.within[:5]])} (93 to 97 % wanted).",
-        f"- Their noise of torque within a factor of two of {TORQUE_NM:g} N m: {share(near)}.",
-        f"- Legs under a stated rate that end `none`: {share([one.verdict == 'none' for one in rated])} (95 % wanted).",
-        f"- Runs under a stated rate that say what it costs: {share([bool(one.said) for one in rated])}.", "",
-        f"| {' | '.join(COLUMNS)} |", f"|{' --- |' * len(COLUMNS)}", *map(_row, (*legs, *rated)), "",
-        *(f"- At {factor:g} times the rate of the log, a run says: \"{said}\"." for factor, said in _said(rated)), ""]
-
-
-def _said(rated: Sequence[Healthy]) -> list[tuple[float, str]]:
-    """The first sentence for each factor."""
-    found = {factor: next((one.said for one in rated if one.said and one.stated_hz == factor * one.log_hz), "")
-             for factor in FACTORS}
-    return [(factor, said) for factor, said in found.items() if said]
-
-
-COLUMNS = ("engine, or hold of `make timing`", "loop", "log [Hz]", "counts", "stated [Hz]", "verdict", "fit",
-           "of beta1 to 5 within", "torque noise [N m]")
+        f"{share(w for one in legs for w in one.within[:5])} (93 to 97 % wanted).",
+        f"- Their noise of torque within a factor of two of {TORQUE_NM:g} N m: "
+        f"{share(0.5 <= one.torque_nm / TORQUE_NM <= 2.0 for one in legs)}.",
+        f"- Legs under a stated rate that end `none`: {share(one.verdict == 'none' for one in rated)} (95 % wanted).",
+        f"- Runs under a stated rate that say what it costs: {share(one.said for one in rated)}.", ""]
+    yield from table("engine, or hold of `make timing` | loop | log [Hz] | counts | stated [Hz] | verdict | fit | "
+                     "of beta1 to 5 within | torque noise [N m]", map(_row, (*legs, *rated)))
+    for factor in FACTORS:
+        said = [one.said for one in rated if one.said and one.stated_hz == factor * one.log_hz]
+        yield from (f'- At {factor:g} times the rate of the log, a run says: "{text}".' for text in said[:1])
 
 
 def _row(one: Healthy) -> str:
-    """A line of the table."""
     stated = f"{one.stated_hz:g}" if one.stated_hz else "-"
-    return (f"| {one.engine} | {one.loop} | {one.log_hz:g} | {one.counts} | {stated} | {one.verdict} | {one.trust} | "
-            f"{sum(one.within[:5])} | {one.torque_nm:.4f} |")
+    return (f"{one.engine} | {one.loop} | {one.log_hz:g} | {one.counts} | {stated} | {one.verdict} | {one.trust} | "
+            f"{sum(one.within[:5])} | {one.torque_nm:.4f}")
 
 
 EVIDENCE = (
@@ -152,7 +122,4 @@ EVIDENCE = (
              "make engines", "engines.md", 60, "98 % of other engines' legs none, 90 % TRUST; 95 % none at other rates",
              (r"other engines that end (`none`: [^(]* %)", r"fits say (TRUST: [^(]* %)",
               r"stated rate that end (`none`: [^(]* %)")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, minutes=(60.0, "most minutes"), seed=(6200, "of the random numbers"))
+main = program(page)

@@ -6,12 +6,15 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+import legid
 from daq import Dataset, Rig, load_rig
+from daq.runs import write_csv
 from estimator.model import leg2
 from evidence.blind import bench, geared, outside, servo, several_faults, stickslip
 from evidence.blind.cases import Case
@@ -121,6 +124,33 @@ def emulated_leg(hidden: str, rng: np.random.Generator, folder: Path) -> KnownLe
 
 def _rig_of(leg: Leg) -> str:
     return f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n'
+
+
+class Answered(NamedTuple):
+    """What `legid fit` and `legid diagnose` say of runs of a leg."""
+
+    fit: legid.FitResult
+    within: tuple[bool, ...]
+    """Whether each of beta1..9 is in the fit's interval."""
+    trust: str
+    """TRUST, TRUST WITH CARE or DO NOT TRUST"""
+    found: legid.Diagnosis
+    runs: Sequence[Dataset]
+
+
+def answered(leg: Leg, runs: Sequence[Dataset], more: str = "") -> Answered:
+    """The answers from CSV files; the rig file states the mechanism, the IMU's lever arm, and `more`."""
+    with TemporaryDirectory() as place:
+        files = [Path(place) / f"{run.name}.csv" for run in runs]
+        for run, file in zip(runs, files, strict=True):
+            write_csv(run, file)
+        (Path(place) / "rig.toml").write_text(_rig_of(leg) + more, encoding="utf-8")
+        rig = load_rig(Path(place) / "rig.toml")
+        read = as_datasets(files, rig, False)
+        fit, found = legid.fit(read, rig), legid.diagnose(read, rig)
+    at = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))  # a fit may have chosen further terms
+    inside = tuple(bool(at[name][0] <= b <= at[name][1]) for name, b in zip(NAMES, leg.beta(), strict=True))
+    return Answered(fit, inside, str(fit.trust).split(" the ")[0], found, read)
 
 
 def truth_of(beta: Sequence[float] | np.ndarray) -> dict[str, float]:

@@ -7,26 +7,16 @@ as files, by a rig file that knows none of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import count
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 
-import legid
-from daq import load_rig
-from daq.runs import write_csv
-from evidence.blind.score import Rate
+from evidence.frame import Lines, program, share, table, within
 from evidence.kept import kept
-from evidence.known_legs import NAMES
-from evidence.page_file import within, write_page
+from evidence.known_legs import NAMES, answered
 from evidence.registry import Evidence
-from experiments.session import as_datasets
-from studies import machine
 from tests.support.lab_readings import read_with
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record
@@ -76,50 +66,33 @@ def answer(seed: int, turn: int) -> Answer:
     faults = {name: float(sigma * rng.normal()) for name, sigma in FAULTS.items()}
     gain, zero = 1.0 + GAIN * float(rng.normal()), ZERO_RAD * float(rng.normal())
     timing = Timing(1000.0, 5, imu_age_s=age_s, imu_cutoff_hz=cutoff_hz)
-    with TemporaryDirectory() as folder:
-        files = [Path(folder) / f"run{k}.csv" for k in range(RUNS)]
-        for file in files:
-            run = read_with(record(leg, rng, timing, seconds=SECONDS, spring=spring, name=file.stem), faults)
-            columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-            columns |= {"tau2_nm": gain * run["tau2_nm"], "q2_rad": run["q2_rad"] + zero}
-            write_csv(replace(run, columns=columns), file)
-        rig_file = Path(folder) / "rig.toml"
-        rig_file.write_text(f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n',
-                            encoding="utf-8")
-        rig = load_rig(rig_file)
-        runs = as_datasets(files, rig, False)
-        fit, found = legid.fit(runs, rig), legid.diagnose(runs, rig)
+    runs = []
+    for k in range(RUNS):
+        run = read_with(record(leg, rng, timing, seconds=SECONDS, spring=spring, name=f"run{k}"), faults)
+        columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
+        columns |= {"tau2_nm": gain * run["tau2_nm"], "q2_rad": run["q2_rad"] + zero}
+        runs.append(replace(run, columns=columns))
+    fit, inside, trust, found, _ = answered(leg, runs)
     there = {name: any(abs(faults.get(key, zero)) > FAULTY * FAULTS.get(key, ZERO_RAD) for key in keys.split())
              for name, keys in EFFECTS.items()}
     there |= {"sensor_time_skew": cutoff_hz > 0.0, "joint_stiffness": spring > 0.0}
     stiffness = next((s.ci95 for c in found.details.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
                       for s in c.size if s.name == "stiffness"), None)
-    found_at = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))
-    values, beta = dict(zip(fit.mechanism.names, fit.beta, strict=True)), leg.beta()
-    return Answer(turn, spring, cutoff_hz > 0.0,
-                  tuple(bool(found_at[n][0] <= b <= found_at[n][1]) for n, b in zip(NAMES, beta, strict=True)),
-                  100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], beta[:5])),
-                  str(fit.trust).split(" the ")[0], found.verdict, tuple(c.effect for c in found.causes),
+    values = dict(zip(fit.mechanism.names, fit.beta, strict=True))
+    return Answer(turn, spring, cutoff_hz > 0.0, inside,
+                  100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], leg.beta()[:5])),
+                  trust, found.verdict, tuple(c.effect for c in found.causes),
                   tuple(there.get(c.effect, False) for c in found.causes), stiffness,
                   found.details.error or (np.nan, np.nan))
 
 
-def share(found: Sequence[bool]) -> str:
-    """`k/n = p % (low to high)`."""
-    return str(Rate(sum(found), len(found)))
-
-
-def page(minutes: float, seed: int) -> Iterator[str]:
-    """The page, line by line."""
+def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
     found = [answer(seed, turn) for turn in within(minutes, count())]
     # of a set that runs do not tell apart one true cause is enough
-    wrong = [not any(a.true) if a.verdict == "one_of" else not all(a.true) for a in found]
+    wrong = (not any(a.true) if a.verdict == "one_of" else not all(a.true) for a in found)
     trusted = [a for a in found if a.trust == "TRUST"]
-    springs = [a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None]
     yield from [
         "# A lab's signal chain", "",
-        f"Made by `make lab-chain MINUTES={minutes:g} SEED={seed}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, "
-        f"{machine()}.", "",
         "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. All faults at once are drawn. Their standard "
         "deviations: torque constant 5 %, gyro scale 1 %, accelerometer 0.1 m/s², tilt 0.5 degrees, lever arm 2 mm, "
         "zero 3 mrad, shunt 5 mN m. Two of three IMUs are behind a low pass and stamped late. Every other leg has a "
@@ -127,33 +100,27 @@ def page(minutes: float, seed: int) -> Iterator[str]:
         f"pivot. `legid fit` and `legid diagnose` read {RUNS} runs of {SECONDS:g} s as CSV. The rig file states "
         "nothing of it.", "",
         f"- Answers with a name that is not there: {share(wrong)} (none wanted).",
-        f"- Fits that say TRUST: {share([a.trust == 'TRUST' for a in found])}.",
-        f"- Parameters of trusted fits within their intervals: {share([w for a in trusted for w in a.within])}, "
-        f"beta1 to beta5 {share([w for a in trusted for w in a.within[:5]])} (93 % wanted).",
+        f"- Fits that say TRUST: {share(a.trust == 'TRUST' for a in found)}.",
+        f"- Parameters of trusted fits within their intervals: {share(w for a in trusted for w in a.within)}, "
+        f"beta1 to beta5 {share(w for a in trusted for w in a.within[:5])} (93 % wanted).",
         f"- Median of the largest error of beta1 to beta5, the torque's scale apart: "
         f"{float(np.median([a.worst for a in found])):.2g} %.",
-        f"- Trusted fits more than 10 % off: {share([a.worst > 10.0 for a in trusted])} (none wanted).",
-        f"- Named springs within their intervals: {share(springs)}.", "",
+        f"- Trusted fits more than 10 % off: {share(a.worst > 10.0 for a in trusted)} (none wanted).",
+        "- Named springs within their intervals: "
+        f"{share(a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None)}.", "",
         "A name counts as there if the fault exceeds two standard deviations. A spring at a pivot that swings little "
-        "is nearly the function of its gravity term; the error before says whether it is material.", "",
-        f"| {' | '.join(COLUMNS)} |", f"|{' --- |' * len(COLUMNS)}", *map(_row, found), ""]
-
-
-COLUMNS = ("leg", "spring", "IMU late", "fit", "within", "largest error [%]", "verdict", "causes", "error over noise")
+        "is nearly the function of its gravity term; the error before says whether it is material.", ""]
+    yield from table("leg | spring | IMU late | fit | within | largest error [%] | verdict | causes | error over noise",
+                     map(_row, found))
 
 
 def _row(a: Answer) -> str:
-    """A line of the table."""
-    return (f"| {a.turn} | {a.spring:g} | {'yes' if a.late else 'no'} | {a.trust} | {sum(a.within)} of "
-            f"{len(a.within)} | {a.worst:.2g} | {a.verdict} | {', '.join(a.causes) or '-'} | "
-            f"{a.error[0]:.2f} to {a.error[1]:.2f} |")
+    return (f"{a.turn} | {a.spring:g} | {'yes' if a.late else 'no'} | {a.trust} | {sum(a.within)} of {len(a.within)} | "
+            f"{a.worst:.2g} | {a.verdict} | {', '.join(a.causes) or '-'} | {a.error[0]:.2f} to {a.error[1]:.2f}")
 
 
 EVIDENCE = (
     Evidence("A lab's small faults all at once, with and without a spring: wrong names, and intervals that hold?",
              "make lab-chain", "lab-chain.md", 20, "no wrong name, 93 % of beta1 to beta5 within",
              (r"not (there: [^(]* %)", r"(TRUST: [^(]* %)", r"within their (intervals: [^(]* %)")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, minutes=(20.0, "most minutes"), seed=(6500, "of the random numbers"))
+main = program(page)

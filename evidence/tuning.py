@@ -6,9 +6,8 @@ hold that none of the records has.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
-from itertools import count
+from collections.abc import Iterator
+from itertools import count, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -18,13 +17,12 @@ import numpy as np
 from daq import parse_rig
 from daq.runs import write_csv
 from estimator.model import lag
+from evidence.frame import Lines, program, share, table, within
 from evidence.kept import kept
-from evidence.page_file import within, write_page
 from evidence.registry import Evidence
-from evidence.timing import drawn, late, share
+from evidence.timing import TIMES, cells, drawn, late, row_s
 from experiments.session import with_choices
 from experiments.workflows import tune_runs
-from studies import machine
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record
 
@@ -53,7 +51,7 @@ def timings(seed: int) -> Iterator[tuple[int, Timing]]:
     """Those of `make timing` whose records have a usual rate, and so that half of it holds the motion."""
     for turn in count():
         timing = drawn(seed, turn)
-        if SLOWEST_HZ <= timing.tick_hz / timing.log_every <= FASTEST_HZ:
+        if SLOWEST_HZ <= 1.0 / row_s(timing) <= FASTEST_HZ:
             yield turn, timing
 
 
@@ -61,9 +59,9 @@ def timings(seed: int) -> Iterator[tuple[int, Timing]]:
 def tuned(seed: int, turn: int) -> Tuned:
     timing = drawn(seed, turn)
     rng = np.random.default_rng([seed, turn, 3])
-    leg, own_hz = random_leg(rng), timing.tick_hz / timing.log_every
+    leg = random_leg(rng)
     rig = parse_rig(f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n'
-                    f'[sampling]\nrate_hz = {own_hz / 2}\nhold = "{STATED}"\n')
+                    f'[sampling]\nrate_hz = {timing.tick_hz / timing.log_every / 2}\nhold = "{STATED}"\n')
     with TemporaryDirectory() as folder:
         files = [Path(folder) / f"run{k}.csv" for k in range(RUNS)]
         for file in files:
@@ -82,54 +80,40 @@ def tuned(seed: int, turn: int) -> Tuned:
 
 def right_rate(one: Tuned) -> bool:
     """Whether the rate is that of the record."""
-    return abs(one.rate_hz * one.timing.log_every / one.timing.tick_hz - 1.0) < 1e-3
+    return abs(one.rate_hz * row_s(one.timing) - 1.0) < 1e-3
 
 
 def right_time(one: Tuned) -> bool:
     """Whether the torque acts when it does, by hold and delay together."""
-    return abs(one.late_s - late(one.timing)) * one.timing.tick_hz / one.timing.log_every < NEAR
+    return abs(one.late_s - late(one.timing)) < NEAR * row_s(one.timing)
 
 
-def page(minutes: float, legs: int, seed: int) -> Iterator[str]:
-    """The page, line by line."""
-    some = (turn for _, (turn, _) in zip(range(legs), timings(seed)))
-    found = [tuned(seed, turn) for turn in within(minutes, some)]
-    both = [right_rate(one) and right_time(one) for one in found]
-    ratio = float(np.median([after / before for before, after in (one.errors for one in found)]))
+def page(minutes: float = 20.0, legs: int = 20, seed: int = 6100) -> Lines:
+    found = [tuned(seed, turn) for turn, _ in within(minutes, islice(timings(seed), legs))]
     yield from [
         "# Rate, hold and delay by `legid tune`", "",
-        f"Made by `make tuning MINUTES={minutes:g} SEED={seed}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, "
-        f"{machine()}.", "",
         f"Legs of [holds and delays](timing.md) whose logs have {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, {RUNS} runs of "
         f"{SECONDS:g} s each. The rig file states half the rate of the record and the hold `{STATED}`, which acts half "
         "a sample earlier than a controller. Hold and delay count together: how long after its stamp the torque acts.",
         "",
-        f"- Rate, and hold with delay to {NEAR:g} samples: {share(both)} (18 of 20 wanted).",
-        f"- Rate alone: {share([right_rate(one) for one in found])}. "
-        f"Hold with delay alone: {share([right_time(one) for one in found])}.",
-        f"- Median error of the knee, after over before: {ratio:.2f}.",
-        "", f"| {' | '.join(COLUMNS)} |", f"|{' --- |' * len(COLUMNS)}", *map(_row, found), ""]
-
-
-COLUMNS = ("tick [Hz]", "log [Hz]", "loop", "between ticks", "delay [ms]", "acts after [ms]", "rate", "hold",
-           "acts after, found [ms]", "knee before, after [mrad]", "gains of rate, hold, delay [%]")
+        f"- Rate, and hold with delay to {NEAR:g} samples: "
+        f"{share(right_rate(one) and right_time(one) for one in found)} (18 of 20 wanted).",
+        f"- Rate alone: {share(map(right_rate, found))}. Hold with delay alone: {share(map(right_time, found))}.",
+        "- Median error of the knee, after over before: "
+        f"{np.median([one.errors[1] / one.errors[0] for one in found]):.2f}.",
+        ""]
+    yield from table(f"{TIMES} | acts after [ms] | rate | hold | acts after, found [ms] | knee before, after [mrad] | "
+                     "gains of rate, hold, delay [%]", map(_row, found))
 
 
 def _row(one: Tuned) -> str:
-    """A line of the table."""
-    t = one.timing
     gains = ", ".join(f"{100 * gain:.0f}" for gain in one.gains)
-    return (f"| {t.tick_hz:g} | {t.tick_hz / t.log_every:g} | {t.loop} | {t.between} | {1e3 * t.delay_s:g} | "
-            f"{1e3 * late(t):.2f} | {one.rate_hz:g} | {one.hold} | {1e3 * one.late_s:.2f} | "
-            f"{1e3 * one.errors[0]:.1f}, {1e3 * one.errors[1]:.1f} | {gains} |")
+    return (f"{cells(one.timing)} | {1e3 * late(one.timing):.2f} | {one.rate_hz:g} | {one.hold} | "
+            f"{1e3 * one.late_s:.2f} | {1e3 * one.errors[0]:.1f}, {1e3 * one.errors[1]:.1f} | {gains}")
 
 
 EVIDENCE = (
     Evidence("Does `legid tune` find rate, hold and delay of a record from a rig file with others?",
              "make tuning", "tuning.md", 20, "rate and hold of 18 of 20 records",
              (r"Rate, and hold with delay to 0.1 samples: ([^(]* %)", r"after over before: (\S+)\.")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, minutes=(20.0, "most minutes"), legs=(20, "most legs"),
-               seed=(6100, "of the random numbers"))
+main = program(page)
