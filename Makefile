@@ -147,10 +147,9 @@ servos: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
 		--seed $(or $(SEED),7000) --only "$(ONLY)" --out $(if $(ONLY),build,docs)/evidence/servos.md
 
-# Friction laws of servos fitted to the same runs: four minutes; BAM= and SYSID= are copies of Rhoban/bam and kscalelabs/sysid.
+# Friction laws of a servo fitted to the same runs, on records next to the checkout: four minutes.
 servo-laws: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m evidence servo-laws --bam "$(BAM)" --sysid "$(SYSID)" \
-		--out docs/evidence/servo-laws.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence servo-laws --out docs/evidence/servo-laws.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

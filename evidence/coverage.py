@@ -9,12 +9,9 @@ coloured disturbance torque at the knee.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 
@@ -23,15 +20,14 @@ from estimator import FitError, FitOptions, Method, fit
 from estimator.model import leg2
 from estimator.result import TWO_SIDED
 from evidence.blind import servo
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence, shares
-from studies import machine
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.ornstein_uhlenbeck import disturbed_record
 from tests.support.stick_slip_leg import PEAK_NM, move, sample
 
 FRICTION = (0.02, 0.05, 0.10)
-SEED = 1000
 RATES = (50, 100, 250, 500)
 PIVOT_NM = 0.01
 """Least Coulomb level of the pivot."""
@@ -41,13 +37,22 @@ TIME_CONSTANTS_S = (0.02, 0.1, 0.5)
 MUJOCO_NM = (0.03, 0.12)
 """Coulomb levels of the knee of MuJoCo's legs; their pivots have a tenth."""
 Case = Callable[[int], tuple[Leg, list[Dataset]]]
+Row = tuple[str, Sequence[int], Case, Method, str]
+"""Drive, friction and rate; seeds, case of a seed, method, sensors"""
 
 
-def case(seed: int, friction: float, closed: bool, rate_hz: float, runs: int) -> tuple[Leg, list[Dataset]]:
-    """A leg of which the knee's Coulomb level is this share of the peak torque, and its recorded runs."""
+def case(seed: int, friction: float, closed: bool, rate_hz: float, runs: int = 1, scatter: float | None = None
+         ) -> tuple[Leg, list[Dataset]]:
+    """A leg of which the knee's Coulomb level is this share of the peak torque, and its recorded runs, between which
+    both levels scatter by this share of themselves."""
     rng = np.random.default_rng(seed)
     leg = replace(random_leg(rng), coulomb=(PIVOT_NM + 0.1 * friction * PEAK_NM, friction * PEAK_NM))
-    return leg, [sample(move(leg, rng, closed=closed), rng, rate_hz, name=f"run{i}") for i in range(runs)]
+    found = []
+    for i in range(runs):
+        worn = [1.0, 1.0] if scatter is None else [max(1.0 + scatter * rng.normal(), 0.1) for _ in leg.coulomb]
+        own = replace(leg, coulomb=(leg.coulomb[0] * worn[0], leg.coulomb[1] * worn[1]))
+        found.append(sample(move(own, rng, closed=closed), rng, rate_hz, name=f"run{i}"))
+    return leg, found
 
 
 def mujoco_case(seed: int, rate_hz: int, runs: int) -> tuple[Leg, list[Dataset]]:
@@ -59,8 +64,7 @@ def mujoco_case(seed: int, rate_hz: int, runs: int) -> tuple[Leg, list[Dataset]]
         kept = {name: values[:: 1000 // rate_hz].copy() for name, values in columns.items() if name != "time_s"}
         for name, sigma in servo.NOISE.items():
             kept[name] += sigma * rng.normal(size=kept[name].size)
-        step = 2 * np.pi / servo.COUNTS
-        kept["q2_rad"] = np.round(kept["q2_rad"] / step) * step
+        kept["q2_rad"] = servo.counted(kept["q2_rad"])
         found.append(Dataset(f"run{k}", float(rate_hz), np.arange(kept["q2_rad"].size) / rate_hz, kept))
     return leg, found
 
@@ -82,7 +86,7 @@ def wandering_case(seed: int, ratio: float, constant_s: float) -> tuple[Leg, lis
 
 
 @kept
-def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray:
+def scores(seeds: Sequence[int], made: Case, sensors: str, method: Method) -> np.ndarray:
     """(fits, 9) error of each parameter over half its interval, times 1.96; rows of fits that fail are missing."""
     found = []
     for seed in seeds:
@@ -97,42 +101,42 @@ def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray
     return np.array(found)
 
 
-def mujoco_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
+def mujoco_rows(seeds: range, rates: Sequence[int]) -> Iterator[Row]:
     for runs, some in ((1, seeds), (8, seeds[: len(seeds) // 2])):
         for rate in rates if runs == 1 else (100,):
             for method in ("mle", "wls"):
-                z = scores(some, partial(mujoco_case, rate_hz=rate, runs=runs), "imu", method)
-                yield _row(f"position, {runs} run{'s' * (runs > 1)} | 0.03 to 0.12 N m | {rate} | {method}-imu", z,
-                           len(some))
+                yield (f"position, {runs} run{'s' * (runs > 1)} | 0.03 to 0.12 N m | {rate}", some,
+                       partial(mujoco_case, rate_hz=rate, runs=runs), method, "imu")
 
 
-def stickslip_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
+def stickslip_rows(seeds: range, rates: Sequence[int]) -> Iterator[Row]:
+    ways: tuple[tuple[Method, str], ...] = (("mle", "imu"), ("mle", "encoder"), ("wls", "imu"))
     for closed in (False, True):
         for friction in FRICTION:
             for rate in rates:
-                ways: tuple[tuple[Method, str], ...] = (("mle", "imu"), ("mle", "encoder"), ("wls", "imu"))
-                for method, sensors in ways:
-                    z = scores(seeds, partial(case, friction=friction, closed=closed, rate_hz=rate, runs=1), sensors,
-                               method)
-                    drive = "position" if closed else "torque"
-                    yield _row(f"{drive} | {100 * friction:g} % | {rate} | {method}-{sensors}", z, len(seeds))
+                head = f"{'position' if closed else 'torque'} | {100 * friction:g} % | {rate}"
+                yield from ((head, seeds, partial(case, friction=friction, closed=closed, rate_hz=rate), *way)
+                            for way in ways)
 
 
-def wandering_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
+def wandering_rows(seeds: range, rates: Sequence[int]) -> Iterator[Row]:
     """A knee motor that wanders, by level over the shunt's noise and by time constant, at 100 Hz."""
     for ratio in (0.0, *WANDER) if 100 in rates else ():
         for constant_s in TIME_CONSTANTS_S if ratio else (1.0,):
-            z = scores(seeds, partial(wandering_case, ratio=ratio, constant_s=constant_s), "imu", "mle")
             name = f"{ratio:g} times the shunt's noise over {1e3 * constant_s:g} ms" if ratio else "no disturbance"
-            yield _row(f"torque, {name} | 0.03 and 0.04 to 0.06 N m | 100 | mle-imu", z, len(seeds))
+            yield (f"torque, {name} | 0.03 and 0.04 to 0.06 N m | 100", seeds,
+                   partial(wandering_case, ratio=ratio, constant_s=constant_s), "mle", "imu")
 
 
-def _row(head: str, z: np.ndarray, tried: int) -> str:
-    if not len(z):
-        return f"| {head} | 0/{tried} | | | |"
-    mean, rms = z.mean(axis=0), np.sqrt(np.mean(z**2, axis=0))
-    return (f"| {head} | {len(z)}/{tried} | {100 * np.mean(np.abs(z) < 1.96):.0f} % "
-            f"| {' '.join(f'{m:+.1f}' for m in mean)} | {' '.join(f'{r:.1f}' for r in rms)} |")
+def _row(head: str, seeds: Sequence[int], made: Case, method: Method, sensors: str) -> str:
+    z = scores(seeds, made, sensors, method)
+    told = f"{head} | {method}-{sensors} | {len(z)}/{len(seeds)} | "
+    if len(z):
+        mean, rms = z.mean(axis=0), np.sqrt(np.mean(z**2, axis=0))
+        told += (f"{100 * np.mean(np.abs(z) < 1.96):.0f} % | {' '.join(f'{m:+.1f}' for m in mean)} | "
+                 f"{' '.join(f'{r:.1f}' for r in rms)}")
+    tell(told)
+    return told
 
 
 PLANTS = {
@@ -143,46 +147,27 @@ PLANTS = {
                                   "1 kHz by an open-loop\nmultisine of torque, or a position controller.")}
 
 
+def page(plant: str = "stickslip", fits: int = 200, seed: int = 1000, rates: Sequence[int] = RATES) -> Lines:
+    rows, told = PLANTS[plant]
+    yield from [
+        f"# Do the intervals hold? {plant}", "", f"Seeds {seed} to {seed + fits - 1}. Plant: {told}",
+        "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default.",
+        "Coverage of the 95 % intervals over all parameters, then mean and rms of error over standard deviation for",
+        f"beta1 to beta9. Each row is uncertain by its number of fits: a mean by {fits**-0.5:.2f}, "
+        f"an rms by {(2 * fits) ** -0.5:.2f}.", ""]
+    yield from table("drive | friction | rate [Hz] | method | fits | coverage | mean | rms",
+                     (_row(*row) for row in rows(range(seed, seed + fits), rates)))
+
+
+HELD = (shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row"), r"[Ss]eeds (\d+ to \d+)")
 EVIDENCE = (
     Evidence("Do the 95 % intervals of a fit hold under set-valued dry friction?",
              "make coverage PLANT=stickslip FITS=16 SEED=2300 RATES=\"100 250\"", "coverage-stickslip.md", 6,
-             "95 % in every row of mle",
-             shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row")),
+             "95 % in every row of mle", *HELD),
     Evidence("Do the 95 % intervals of a fit hold on MuJoCo's leg under a position servo?",
              "make coverage PLANT=mujoco FITS=16 SEED=3300 RATES=\"50 100 250\"", "coverage-mujoco.md", 4,
-             "95 % in every row of mle",
-             shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row")),
+             "95 % in every row of mle", *HELD),
     Evidence("Do the 95 % intervals of a fit hold where a coloured torque disturbs the knee?",
              "make coverage PLANT=wander FITS=16 RATES=100 SEED=1300", "coverage-wander.md", 2,
-             "93 to 97 % in every row",
-             shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plant", choices=PLANTS, required=True)
-    parser.add_argument("--fits", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--rates", type=int, nargs="+", default=list(RATES))
-    parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
-    seeds = range(given.seed, given.seed + given.fits)
-    rows, told = PLANTS[given.plant]
-    rates = " ".join(map(str, given.rates))
-    command = f"make coverage PLANT={given.plant} FITS={given.fits}"
-    command += f" SEED={given.seed}" if given.seed != SEED else ""
-    command += "" if given.rates == list(RATES) else f' RATES="{rates}"' if " " in rates else f" RATES={rates}"
-    text = [
-        f"# Do the intervals hold? {given.plant}", "",
-        f"Made by `{command}`, seeds {seeds.start} to {seeds.stop - 1}, "
-        f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        f"Plant: {told}",
-        "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default.",
-        "Coverage of the 95 % intervals over all parameters, then mean and rms of error over standard deviation for",
-        f"beta1 to beta9. Each row is uncertain by its number of fits: a mean by {given.fits**-0.5:.2f}, "
-        f"an rms by {(2 * given.fits) ** -0.5:.2f}.", "",
-        "| drive | friction | rate [Hz] | method | fits | coverage | mean | rms |", "|---|---|---|---|---|---|---|---|"]
-    for row in rows(seeds, given.rates):
-        text.append(row)
-        given.out.write_text("\n".join([*text, ""]))
-        print(row, flush=True)
+             "93 to 97 % in every row", *HELD))
+main = program(page)

@@ -1,7 +1,7 @@
-"""The frame of a study: its arguments, the cases that its minutes hold, tables, shares, and the page with how it was made.
+"""The frame of a study: arguments, the cases that its minutes hold, tables, shares, the page with how it was made.
 
-A study is a generator of its page's lines, the title first, whose arguments with their defaults are those of its command
-line. What it returns is the exit status.
+A study is a generator of its page's lines, the title first. Its arguments with their defaults are those of the command
+line, and what it returns is the exit status.
 
     def page(minutes: float = 20.0, seed: int = 6500) -> Lines: ...
     main = program(page)

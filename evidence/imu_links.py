@@ -6,10 +6,7 @@ torque acts in straight lines between samples.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +14,9 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, fit
 from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence, shares
-from studies import machine
 from tests.support.mujoco_leg import GRAVITY
 from tests.support.mujoco_tree import FRICTION_RADPS, Motion, Noise, Sensor, Tree, disturbed, move, random_tree, torques
 
@@ -137,64 +134,45 @@ def fit_row(name: str, seed: int) -> Outcome | str:
                    tuple(map(str, found.undetermined)), found.iterations, found.wall_s)
 
 
-def line(row: Row, found: list[Outcome], failed: list[str]) -> str:
-    """The row of the table."""
+def line(name: str, seeds: range) -> tuple[str, list[str]]:
+    """The row of the table, and what failed or was left open."""
+    row, found, troubles = ROWS[name], list[Outcome](), list[str]()
+    for seed in seeds:
+        outcome = fit_row(name, seed)
+        tell(name, seed, outcome)
+        here = f"{row.title}, seed {seed}: "
+        if isinstance(outcome, str):
+            troubles.append(here + outcome)
+        else:
+            found.append(outcome)
+            troubles += [f"{here}not determined {text}" for text in outcome.undetermined]
     z = np.array([outcome.score for outcome in found])
     inside = np.mean(np.abs(z) < 1.96, axis=1)
-    undetermined = sum(bool(outcome.undetermined) for outcome in found)
-    return (f"| {row.title} | {z.shape[1]} | {len(found)} of {len(found) + len(failed)} "
+    return (f"{row.title} | {z.shape[1]} | {len(found)} of {len(seeds)} "
             f"| {100.0 * inside.mean():.1f} % +- {100.0 * inside.std() / np.sqrt(len(z)):.1f} "
             f"| {np.mean(z):+.2f} | {np.sqrt(np.mean(z**2)):.2f} "
-            f"| {100.0 * np.median([np.abs(outcome.error) for outcome in found]):.2g} % | {undetermined} "
-            f"| {np.median([outcome.iterations for outcome in found]):.0f} |")
+            f"| {100.0 * np.median([np.abs(outcome.error) for outcome in found]):.2g} % "
+            f"| {sum(bool(outcome.undetermined) for outcome in found)} "
+            f"| {np.median([outcome.iterations for outcome in found]):.0f}"), troubles
 
 
-def page(names: list[str], seeds: range, command: str) -> str:
-    """The study as Markdown."""
-    lines, troubles = [], []
-    for name in names:
-        found, failed = list[Outcome](), list[str]()
-        for seed in seeds:
-            outcome = fit_row(name, seed)
-            if isinstance(outcome, str):
-                failed.append(f"{ROWS[name].title}, seed {seed}: {outcome}")
-                print(f"{name} {seed}: {outcome}", flush=True)
-                continue
-            found.append(outcome)
-            troubles += [f"{ROWS[name].title}, seed {seed}: not determined {text}" for text in outcome.undetermined]
-            print(f"{name} {seed}: {np.mean(np.abs(outcome.score) < 1.96):.3f} inside, mean "
-                  f"{outcome.score.mean():+.2f}, {outcome.iterations} steps, {outcome.wall_s:.1f} s, "
-                  f"{' '.join(outcome.undetermined)}", flush=True)
-        troubles += failed
-        lines.append(line(ROWS[name], found, failed))
-        print(lines[-1], flush=True)
-    return "\n".join([
+def page(fits: int = 24, seed: int = 4000, rows: Sequence[str] = tuple(ROWS)) -> Lines:
+    found = [line(name, range(seed, seed + fits)) for name in rows]
+    yield from [
         "# IMUs on any link", "",
-        f"Made by `{command}`, seeds {seeds.start} to {seeds.stop - 1} in every row, {datetime.now(UTC):%Y-%m-%d}, "
-        f"{machine()}.", "",
+        f"Seeds {seed} to {seed + fits - 1} in every row. "
         "MuJoCo simulates dynamics and sensors of random plants. Legs and chains hang from a passive pivot (10 s at "
         "200 Hz, seven links 5 s at 250 Hz). A walker takes eight steps of 0.7 s at 500 Hz. Noise: gyro 0.005 rad/s, "
         "accelerometer 0.05 m/s2, encoders 0.1 mrad, torques 0.02 N m (walker 0.1). Nothing else is read and no noise "
-        "level is declared. Link lengths and the IMUs' places are exact.", "",
-        "| rig | parameters | fits | 95 % intervals that hold | mean of error / deviation | rms | median error "
-        "| fits with anything undetermined | steps |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |", *lines, "",
-        "+- is the scatter by chance (1 sigma over plants).", "",
-        *(["What failed, or was left open:", "", *(f"- {text}" for text in troubles), ""] if troubles else [])])
+        "level is declared. Link lengths and the IMUs' places are exact.", ""]
+    yield from table("rig | parameters | fits | 95 % intervals that hold | mean of error / deviation | rms | median "
+                     "error | fits with anything undetermined | steps", (row for row, _ in found))
+    yield from ["+- is the scatter by chance (1 sigma over plants).", "",
+                *(f"- {text}" for _, troubles in found for text in troubles)]
 
 
 EVIDENCE = (
     Evidence("IMUs on any links and a subset of encoders: do the intervals hold?", "make imu-links FITS=24",
              "imu-links.md", 12, "95 % in every row",
-             shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fits", type=int, default=24)
-    parser.add_argument("--seed", type=int, default=4000)
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
-    parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
-    given.out.write_text(page(given.rows, range(given.seed, given.seed + given.fits),
-                              f"make imu-links FITS={given.fits}"), encoding="utf-8")
+             shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row"), r"[Ss]eeds (\d+ to \d+)"),)
+main = program(page)

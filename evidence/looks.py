@@ -6,10 +6,8 @@ plant.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -22,17 +20,16 @@ from daq.looks import look
 from daq.runs import RawTable, read_csv
 from daq.timing import align_table
 from estimator import FitError
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.known_legs import FAMILIES, HEALTHY
 from evidence.registry import Evidence
 from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
 from experiments.workflows import fit_runs
-from studies import machine
 from tests.support.mujoco_leg import multisine, random_leg, record
-from tests.support.paths import ROOT
+from tests.support.paths import REAL
 
-PAGE = ROOT / "docs/evidence/looks.md"
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n[sampling]\nrate_hz = 100.0\n'
 SHARES = (0.02, 0.05, 0.10, 0.15, 0.25, 0.40)
 """Of the samples that are clipped."""
@@ -40,7 +37,7 @@ SIDES = ("both sides", "one side")
 WITHIN = 2.0
 """Largest error of beta1 to beta5 [%] that is aimed at up to 15 % of the samples."""
 JUDGED, NAMED_LEGS = 5, 10
-FAMILY_LEGS, PLAIN_LEGS, PLAIN_RUNS = 1, 15, 8
+PLAIN_LEGS, PLAIN_RUNS = 15, 8
 
 
 @kept
@@ -174,6 +171,11 @@ class Fit(NamedTuple):
     sentence: str
 
     @property
+    def worst(self) -> float:
+        """Largest error [%]; NaN where there is none."""
+        return float(np.max(np.nan_to_num(np.abs(self.errors)))) if np.isfinite(self.errors).any() else np.nan
+
+    @property
     def trusted(self) -> bool:
         return self.sentence.startswith("TRUST")
 
@@ -209,92 +211,73 @@ def _fit(seed: int, tables: Sequence[RawTable]) -> Fit:
     return Fit(100.0 * (beta / truth - 1.0), 100.0 * half / truth, fit_trust(result).sentence)
 
 
-def page(legs: int, seed: int, records: Path | None) -> str:
-    """The page."""
-    lines = ["# Looks at readings", "",
-             f"Made by `python -m evidence looks`, seeds {seed} to {seed + legs - 1}, "
-             f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", ""]
-    return "\n".join([*lines, *_healthy(seed, records), *_named(NAMED_LEGS, seed), *_pairs(seed),
-                      *_clipped(legs, seed)])
+def page(legs: int = 4, seed: int = 6200, records: str = str(REAL)) -> Lines:
+    yield from ["# Looks at readings", ""]
+    yield from _healthy(seed, Path(records))
+    yield from _named(seed)
+    yield from _pairs(seed)
+    yield from _clipped(legs, seed)
 
 
-def _pairs(seed: int) -> list[str]:
+def _pairs(seed: int) -> Iterator[str]:
     """Fits of ten legs with the kinds in pairs, one leg a pair in turn."""
-    rows, wrong, trusted = [], 0, 0
-    pairs = list(combinations(FITTED, 2))
-    for k, kinds in enumerate(pairs):
-        found = fit_pair(seed + k % NAMED_LEGS, kinds)
-        worst = float(np.nanmax(np.abs(found.errors))) if np.isfinite(found.errors).any() else np.nan
-        wrong, trusted = wrong + found.wrong, trusted + found.trusted
-        rows.append(f"| {' and '.join(kinds)} | {worst:.2f} % | {found.sentence.partition(':')[0].rstrip('.')} |")
-        print(rows[-1], flush=True)
-    return ["## Pairs of faults, with fits", "", "The same kinds, and samples of the torque that are lost, in pairs. "
-            f"Each pair is in both runs of one of {NAMED_LEGS} legs.", "",
-            f"**Pairs trusted wrongly: {wrong} of {len(pairs)} fits, {trusted} of which are trusted.**", "",
-            "| put in | largest error | the fit's first line |", "| --- | ---: | --- |", *rows, ""]
+    found = {kinds: fit_pair(seed + k % NAMED_LEGS, kinds) for k, kinds in enumerate(combinations(FITTED, 2))}
+    yield from ["## Pairs of faults, with fits", "", "The same kinds, and samples of the torque that are lost, in "
+                f"pairs. Each pair is in both runs of one of {NAMED_LEGS} legs.", "",
+                f"**Pairs trusted wrongly: {sum(one.wrong for one in found.values())} of {len(found)} fits, "
+                f"{sum(one.trusted for one in found.values())} of which are trusted.**", ""]
+    yield from table("put in | largest error | the fit's first line", (
+        f"{' and '.join(kinds)} | {one.worst:.2f} % | {one.sentence.partition(':')[0].rstrip('.')}"
+        for kinds, one in found.items()))
 
 
-def _healthy(seed: int, records: Path | None) -> list[str]:
-    rows, runs, false = [], 0, list[str]()
-    for family in FAMILIES:
-        count, found = 0, list[str]()
-        for k in range(FAMILY_LEGS):
-            more, told = found_in_healthy(family, seed + k)
-            count, found = count + more, found + told
-        rows.append(f"| {family} | {count} | {len(found)} |")
-        print(rows[-1], *found, sep="\n", flush=True)
-        runs, false = runs + count, false + found
+def _healthy(seed: int, records: Path) -> Iterator[str]:
     plain = [leg_run(seed + k, number) for k in range(PLAIN_LEGS) for number in range(PLAIN_RUNS)]
-    found = [f"{run.name}: {fault}" for run in plain for fault in look(run.time_s, run.columns).faults]
-    rows.append(f"| MuJoCo, an open-loop torque | {len(plain)} | {len(found)} |")
-    runs, false = runs + len(plain), false + found
-    if records is not None and records.is_dir():
-        count, found = found_in_records(records)
-        rows.append(f"| public records | {count} | {len(found)} |")
-        runs, false = runs + count, false + found
-    return ["## Healthy runs", "", f"**False findings: {len(false)} in {runs} healthy runs.**",
-            *(f"- {text}" for text in false), "", "| family | runs | findings |", "| --- | ---: | ---: |", *rows, ""]
+    found = {family: found_in_healthy(family, seed) for family in FAMILIES}
+    found["MuJoCo, an open-loop torque"] = len(plain), [
+        f"{run.name}: {fault}" for run in plain for fault in look(run.time_s, run.columns).faults]
+    if records.is_dir():
+        found["public records"] = found_in_records(records)
+    false = [text for _, told in found.values() for text in told]
+    yield from ["## Healthy runs", "",
+                f"**False findings: {len(false)} in {sum(count for count, _ in found.values())} healthy runs.**",
+                *(f"- {text}" for text in false), ""]
+    yield from table("family | runs | findings", ((name, count, len(told)) for name, (count, told) in found.items()))
 
 
-def _named(legs: int, seed: int) -> list[str]:
-    rows, right, whole = [], 0, 0
+def _named(seed: int) -> Iterator[str]:
+    rows, right = [], 0
     for kinds in (*((kind,) for kind in KINDS), *combinations(KINDS, 2)):
-        found = [named(seed + k, kinds) for k in range(legs)]
+        found = [named(seed + k, kinds) for k in range(NAMED_LEGS)]
         good = sum(put == told for put, told in found)
-        rows.append(f"| {' and '.join(kinds)} | {good} of {legs} | "
-                    f"{'; '.join(sorted({', '.join(told) or 'none' for put, told in found if put != told}))} |")
-        right, whole = right + good, whole + legs
-    return ["## Faults put in, one and two at a time", "", "In runs of 20 s at 100 Hz of legs simulated by MuJoCo. "
-            "An angle wraps by a turn, is off by 1 to 4 rad in one reading, or steps by 0.8 to 1.5 rad. A torque is "
-            "clipped in 3 to 30 % of the samples. A gyro hangs for 15 to 40 samples. Readings are repeated 2 to 4 "
-            "times.", "",
-            f"**Named exactly: {right} of {whole}.**", "", "| put in | named exactly | named instead |",
-            "| --- | ---: | --- |", *rows, ""]
+        rows.append((" and ".join(kinds), f"{good} of {NAMED_LEGS}",
+                     "; ".join(sorted({", ".join(told) or "none" for put, told in found if put != told}))))
+        right += good
+    yield from ["## Faults put in, one and two at a time", "", "In runs of 20 s at 100 Hz of legs simulated by MuJoCo. "
+                "An angle wraps by a turn, is off by 1 to 4 rad in one reading, or steps by 0.8 to 1.5 rad. A torque "
+                "is clipped in 3 to 30 % of the samples. A gyro hangs for 15 to 40 samples. Readings are repeated 2 to "
+                "4 times.", "", f"**Named exactly: {right} of {NAMED_LEGS * len(rows)}.**", ""]
+    yield from table("put in | named exactly | named instead", rows)
 
 
-def _clipped(legs: int, seed: int) -> list[str]:
-    rows, wrong, fits, near, few = [], 0, 0, 0, 0
-    for sides in SIDES:
-        for share in (0.0, *SHARES):
-            found = [fit_clipped(seed + k, share, sides) for k in range(legs)]
-            worst = [float(np.nanmax(np.abs(one.errors))) for one in found if np.isfinite(one.errors).any()]
-            inside = sum(int(np.sum(np.abs(one.errors) <= one.widths)) for one in found)
-            bad = sum(one.wrong for one in found)
-            rows.append(f"| {sides} | {100 * share:.0f} % | {np.median(worst):.2f} % | {max(worst):.2f} % | "
-                        f"{inside} of {JUDGED * legs} | {sum(one.trusted for one in found)} of {legs} | {bad} |")
-            print(rows[-1], flush=True)
-            wrong, fits = wrong + bad, fits + legs
-            if 0.0 < share <= 0.15:
-                near, few = near + sum(one <= WITHIN for one in worst), few + legs
-    return ["## Clipped torque", "", "Fits of two runs of 20 s of the same legs, without noise levels in the rig file. "
-            "The torque reading ends where a share of the samples is beyond. Errors are those of beta1 to beta5.", "",
-            f"**Trusted wrongly: {wrong} of {fits} fits. Up to 15 % of the samples clipped, every parameter is within "
-            f"{WITHIN:g} % in {near} of {few} fits.**", "",
-            "| clipped | samples | largest error of a leg, median | worst leg | intervals that hold | trusted | "
-            "trusted wrongly |",
-            "| --- | ---: | ---: | ---: | ---: | ---: | ---: |", *rows, "",
-            "Trusted wrongly: the first line says TRUST, and a parameter is off by more than 2 % and two half widths.",
-            ""]
+def _clipped(legs: int, seed: int) -> Iterator[str]:
+    found = {(sides, share): [fit_clipped(seed + k, share, sides) for k in range(legs)]
+             for sides in SIDES for share in (0.0, *SHARES)}
+    every = [one for fits in found.values() for one in fits]
+    few = [one.worst <= WITHIN for (_, share), fits in found.items() if 0.0 < share <= 0.15 for one in fits]
+    yield from ["## Clipped torque", "", "Fits of two runs of 20 s of the same legs, without noise levels in the rig "
+                "file. The torque reading ends where a share of the samples is beyond. Errors are those of beta1 to "
+                "beta5.", "",
+                f"**Trusted wrongly: {sum(one.wrong for one in every)} of {len(every)} fits. Up to 15 % of the samples "
+                f"clipped, every parameter is within {WITHIN:g} % in {sum(few)} of {len(few)} fits.**", ""]
+    yield from table("clipped | samples | largest error of a leg, median | worst leg | intervals that hold | trusted | "
+                     "trusted wrongly", (
+        f"{sides} | {100 * share:.0f} % | {np.nanmedian([one.worst for one in fits]):.2f} % | "
+        f"{np.nanmax([one.worst for one in fits]):.2f} % | "
+        f"{sum(int(np.sum(np.abs(one.errors) <= one.widths)) for one in fits)} of {JUDGED * legs} | "
+        f"{sum(one.trusted for one in fits)} of {legs} | {sum(one.wrong for one in fits)}"
+        for (sides, share), fits in found.items()))
+    yield "Trusted wrongly: the first line says TRUST, and a parameter is off by more than 2 % and two half widths."
 
 
 EVIDENCE = (
@@ -307,14 +290,4 @@ EVIDENCE = (
     Evidence("Is a fit of runs with two kinds of faulty readings ever trusted wrongly?",
              "python -m evidence looks", "looks.md", 10, "never",
              (r"(Pairs trusted wrongly: \d+ of \d+) fits",)))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--legs", type=int, default=4)
-    parser.add_argument("--seed", type=int, default=6200)
-    parser.add_argument("--records", type=Path, default=ROOT.parent / "shared/realdata",
-                        help="folder of public records as CSV by the contract, one folder each machine")
-    parser.add_argument("--out", type=Path, default=PAGE)
-    given = parser.parse_args(arguments)
-    given.out.write_text(page(given.legs, given.seed, given.records), encoding="utf-8")
+main = program(page)

@@ -1,4 +1,4 @@
-"""`make runs`: what runs disagree about, and what intervals that allow for it cost and hold; writes a page.
+"""`make runs`: what runs disagree about, and what intervals that allow for it cost and hold.
 
 Emulated legs whose runs are alike, and whose friction, zeros or torque gain differ from run to run, beside the means
 that made them; real records beside what is published of them.
@@ -6,11 +6,8 @@ that made them; real records beside what is published of them.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 
@@ -19,16 +16,15 @@ from daq.rig import parse_rig
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import leg2
 from evidence.blind import servo
-from evidence.coverage import PIVOT_NM
+from evidence.coverage import case
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence, shares
 from evidence.untuned import RECORDS, paths_of
 from experiments.session import load_runs
 from experiments.workflows import fit_runs
-from studies import machine
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.paths import REAL
-from tests.support.stick_slip_leg import PEAK_NM, move, sample
 
 RUNS, RATE_HZ = 4, 100.0
 KNEE = 0.05
@@ -37,18 +33,6 @@ FRICTION, ZERO_RAD, GAIN = 0.2, 0.03, 0.03
 """Scatter between runs: of both Coulomb levels over themselves, of the knee's zero, of the torque's gain."""
 Case = tuple[Leg, list[Dataset]]
 Change = Callable[[np.random.Generator, Dataset], Dataset]
-
-
-def stick_slip(seed: int, closed: bool, scatter: float) -> Case:
-    """A leg of set-valued friction and its runs, friction another in each."""
-    rng = np.random.default_rng(seed)
-    leg = replace(random_leg(rng), coulomb=(PIVOT_NM + 0.1 * KNEE * PEAK_NM, KNEE * PEAK_NM))
-    runs = []
-    for k in range(RUNS):
-        own = replace(leg, coulomb=(leg.coulomb[0] * max(1.0 + scatter * rng.normal(), 0.1),
-                                     leg.coulomb[1] * max(1.0 + scatter * rng.normal(), 0.1)))
-        runs.append(sample(move(own, rng, closed=closed), rng, RATE_HZ, name=f"run{k}"))
-    return leg, runs
 
 
 def by_servo(seed: int) -> Case:
@@ -62,8 +46,7 @@ def by_servo(seed: int) -> Case:
         columns = servo.record(bare, servo.Plant(), dry, rng, k, session_s=25.0 * k)
         noisy = {c: columns[c] + servo.NOISE.get(c, 0.0) * rng.normal(size=columns[c].size)
                  for c in servo.COLUMNS[1:]}
-        step = 2 * np.pi / servo.COUNTS
-        noisy["q2_rad"] = np.round(noisy["q2_rad"] / step) * step
+        noisy["q2_rad"] = servo.counted(noisy["q2_rad"])
         runs.append(Dataset(f"run{k}", servo.RATE_HZ, columns["time_s"], noisy))
     return leg, runs
 
@@ -81,23 +64,22 @@ CHANGES: dict[str, Change] = {
 @kept
 def row(what: str, differ: str, sensors: str, cases: Sequence[Case]) -> str:
     """One line: how often runs disagree, coverage by the noise alone and now, and how much wider intervals are."""
-    alone, now, wider, told, count = [], [], [], 0, 0
+    found = []
     for leg, runs in cases:
         try:
-            found = fit(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, hold="auto"))
+            one = fit(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, hold="auto"))
         except FitError:
             continue
-        if not found.converged or found.agreement is None:
-            continue
-        error = np.abs(found.beta - leg.beta())
-        alone.append(error < 1.959964 * found.own_std)
-        now.append(error < found.half_width)
-        wider.append(found.widening)
-        told += found.agreement.disagree
-        count += 1
-    shares = [f"{100 * np.mean(x):.0f} % ({100 * np.mean(x, axis=0).min():.0f} %)" for x in (alone, now)]
-    return (f"| {what} | {sensors} | {differ} | {count}/{len(cases)} | {told} | {' | '.join(shares)} | "
-            f"{np.mean(wider):.2f} |")
+        if one.converged and one.agreement is not None:
+            error = np.abs(one.beta - leg.beta())
+            found.append((error < 1.959964 * one.own_std, error < one.half_width, one.widening,
+                          bool(one.agreement.disagree)))
+    alone, now, wider, told = zip(*found)
+    held = [f"{100 * np.mean(x):.0f} % ({100 * np.mean(x, axis=0).min():.0f} %)" for x in (alone, now)]
+    line = (f"{what} | {sensors} | {differ} | {len(found)}/{len(cases)} | {sum(told)} | {' | '.join(held)} | "
+            f"{np.mean(wider):.2f}")
+    tell(line)
+    return line
 
 
 def emulated(fits: int) -> Iterator[str]:
@@ -105,8 +87,8 @@ def emulated(fits: int) -> Iterator[str]:
     half = -(-fits // 2)
     for closed in (False, True):
         what = f"dry friction, {'position' if closed else 'torque'}"
-        alike = [stick_slip(seed, closed, 0.0) for seed in range(4000, 4000 + fits)]
-        worn = [stick_slip(seed, closed, FRICTION) for seed in range(4100, 4100 + half)]
+        alike = [case(seed, KNEE, closed, RATE_HZ, RUNS, 0.0) for seed in range(4000, 4000 + fits)]
+        worn = [case(seed, KNEE, closed, RATE_HZ, RUNS, FRICTION) for seed in range(4100, 4100 + half)]
         for sensors in ("imu", "encoder"):
             yield row(what, "nothing", sensors, alike)
             yield row(what, f"Coulomb levels, {100 * FRICTION:g} %", sensors, worn)
@@ -131,55 +113,38 @@ def real(folder: str) -> tuple[str, list[str]]:
     found = result.agreement
     before = beyond(result, known.published, 1.959964 * result.own_std)
     if found is None or not found.disagree:
-        return f"| {known.title} | {len(known.runs)} | {before} | the same | |", []
-    names = [f"| {known.title} | {p.name} ({p.meaning}) | {mean:.4g} | {scatter:.2g} | {low:.4g} to {high:.4g} |"
+        return f"{known.title} | {len(known.runs)} | {before} | the same | ", []
+    names = [f"{known.title} | {p.name} ({p.meaning}) | {mean:.4g} | {scatter:.2g} | {low:.4g} to {high:.4g}"
              for p, mean, scatter, low, high, seen in
              zip(result.mechanism.parameters, found.mean, found.scatter, found.by_run.min(axis=0),
                  found.by_run.max(axis=0), found.seen) if seen]
     departure = " ".join(f"{100 * (m / p - 1):+.1f}" for m, p in zip(found.mean, known.published))
-    return (f"| {known.title} | {len(known.runs)} | {before} | {beyond(result, known.published, result.half_width)} | "
-            f"{departure} |", names)
+    return (f"{known.title} | {len(known.runs)} | {before} | {beyond(result, known.published, result.half_width)} | "
+            f"{departure}", names)
 
 
-def page(fits: int) -> Iterator[str]:
-    """The page, line by line."""
+def page(fits: int = 24) -> Lines:
     yield from [
-        "# Runs that differ", "",
-        f"Made by `make runs FITS={fits}` on {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "",
+        "# Runs that differ", "", "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "",
         "## Emulated legs", "",
         f"{RUNS} runs of 20 s at {RATE_HZ:g} Hz each; the knee's Coulomb level is {100 * KNEE:g} % of the peak torque.",
         "Coverage of the 95 % intervals over all parameters, and of the worst parameter in brackets; the truth is the",
-        "mean that runs scatter about. The last column: how many times as wide as by noise alone, on average.", "",
-        "| plant | sensors | differs between runs | fits | disagree | coverage by noise alone | coverage | wider |",
-        "|---|---|---|---|---|---|---|---|"]
-    yield from emulated(fits)
-    if not REAL.is_dir():
-        return
-    rows = [real(folder) for folder in RECORDS]
-    yield from [
-        "", "## Real records, in one command without an option", "",
-        "Distance of published and fitted values in half widths of the 95 % interval, in the mechanism's order. Beyond",
-        "3 an interval is too narrow. The last column is the departure of the mean over runs [%].", "",
-        "| record | runs | by noise alone | with what runs disagree about | mean over runs |",
-        "|---|---|---|---|---|", *(line for line, _ in rows), "",
-        "What runs disagree about:", "", "| record | parameter | mean | scatter | by run |", "|---|---|---|---|---|",
-        *(line for _, lines in rows for line in lines), ""]
+        "mean that runs scatter about. The last column: how many times as wide as by noise alone, on average.", ""]
+    yield from table("plant | sensors | differs between runs | fits | disagree | coverage by noise alone | coverage | "
+                     "wider", emulated(fits))
+    rows = [real(folder) for folder in RECORDS] if REAL.is_dir() else []
+    yield from ["## Real records, in one command without an option", "",
+                "Distance of published and fitted values in half widths of the 95 % interval, in the mechanism's "
+                "order. Beyond", "3 an interval is too narrow. The last column is the departure of the mean over runs "
+                "[%].", ""]
+    yield from table("record | runs | by noise alone | with what runs disagree about | mean over runs",
+                     (line for line, _ in rows))
+    yield from ["What runs disagree about:", ""]
+    yield from table("record | parameter | mean | scatter | by run", (line for _, lines in rows for line in lines))
 
 
 EVIDENCE = (
     Evidence("Runs that differ: coverage of intervals that allow for it", "make runs FITS=24", "runs.md", 15,
              "95 % in every row",
              shares(r"\| \d+/\d+ \| \d+ \| \d+ % \(\d+ %\) \| (\d+) % \(", "% of the intervals hold, by row")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fits", type=int, default=24)
-    parser.add_argument("--out", type=Path, required=True)
-    words = parser.parse_args(arguments)
-    lines: list[str] = []
-    for line in page(words.fits):
-        lines.append(line)
-        print(line, flush=True)
-        words.out.write_text("\n".join(lines))
+main = program(page)

@@ -1,7 +1,7 @@
-"""The XL330 of Rhoban/bam by BAM's published models and by ours, under its command, on runs that ours has not seen.
+"""The XL330 of Rhoban/bam by our models under its command, on runs that they have not seen, and BAM's published values.
 
-BAM's equations are those of its paper (Duclusaud, Passault, Padois, Ly, ICRA 2025) and of bam/model.py, its values
-those of params/xl330 at commit af22604622. They were found on records that may have these runs among them.
+The values are those of params/xl330 at commit af22604622. They were found on records that may have these runs among
+them.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from estimator.likelihood import free_run
 from estimator.loops import law_checks
 from estimator.options import FitOptions
 from estimator.prediction import smooth
+from evidence.frame import table
 from evidence.kept import kept
 from experiments.documents import finite
 from experiments.models import build_mechanism, mechanism_settings
@@ -30,7 +31,7 @@ from tests.support.paths import REAL, ROOT
 FOLDER, RIG = REAL / "bam_xl330", ROOT / "studies/rigs/bam_xl330_diagnose.toml"
 TRAIN = ("sin_sin", "up_and_down", "lift_and_drop")
 TEST = ("sin_time_square",)
-MASS_KG, ARM_M, G, STEP_S = 0.49, 0.1, 9.81, 5e-4
+MASS_KG, ARM_M = 0.49, 0.1
 EFFECTS = ("load_dependent_friction", "directional_load_friction")
 """That are fitted together with Coulomb and viscous friction"""
 PUBLISHED: dict[str, dict[str, float]] = {
@@ -56,37 +57,6 @@ def records(kinds: tuple[str, ...]) -> list[Dataset]:
     paths = [FOLDER / f"kp{gain}_{kind}.csv.gz" for kind in kinds for gain in (100, 400)]
     return [replace(d, columns={("q1_cmd_rad" if n == "goal_rad" else n): v for n, v in d.columns.items()})
             for d in as_datasets(paths, load_rig(RIG))]
-
-
-def friction(p: Mapping[str, float], motor: float, load: float, rate: float) -> float:
-    """Largest friction torque [N m] by BAM's models, viscous part included."""
-    near = float(np.exp(-(abs(rate / p["dtheta_stribeck"]) ** p["alpha"]))) if "alpha" in p else 0.0
-    loss = p["friction_base"] + near * p.get("friction_stribeck", 0.0)
-    if "load_friction_motor" in p:
-        loss += abs(load * p["load_friction_external"] - motor * p["load_friction_motor"])
-        loss += near * abs(load * p["load_friction_external_stribeck"] - motor * p["load_friction_motor_stribeck"])
-        if np.sign(load) != np.sign(motor):
-            by = p["load_friction_external_quad"] * load**2 if abs(load) < abs(motor) else \
-                p["load_friction_motor_quad"] * motor**2
-            loss += near * by
-    return loss + p["friction_viscous"] * abs(rate)
-
-
-def by_bam(p: Mapping[str, float], run: Dataset, gain: float, sign: float) -> FloatArray:
-    """(N,) angle of BAM's model under the command, from the first reading at rest; `sign` is that of q_offset."""
-    fine = np.arange(0.0, run.time_s[-1] - run.time_s[0], STEP_S)
-    goal, volts = (np.interp(fine, run.time_s - run.time_s[0], run[name]) for name in ("q1_cmd_rad", "volts"))
-    q, v, inertia, out = float(run["q1_rad"][0]), 0.0, MASS_KG * ARM_M**2 + p["armature"], np.empty(fine.size)
-    for k in range(fine.size):
-        out[k] = q
-        duty = min(max(gain * (goal[k] - q), -1.0), 1.0)
-        motor = p["kt"] / p["R"] * (volts[k] * duty - p["kt"] * v)
-        load = -MASS_KG * G * ARM_M * float(np.sin(q + sign * p["q_offset"]))
-        net, most = motor + load, friction(p, motor, load, v)
-        stop = -(inertia * v / STEP_S + net)  # the torque that stops the joint within the step
-        v += STEP_S / inertia * (net + min(max(stop, -most), most))
-        q += STEP_S * v
-    return np.interp(run.time_s - run.time_s[0], fine, out)
 
 
 def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
@@ -130,9 +100,6 @@ def errors() -> dict[str, list[float]]:
         ours |= {f"legid, mle: and {name}": extended(name) for name in EFFECTS}
         for name, model in ours.items():
             out.setdefault(name, []).append(_rms(closed(model, run, float(gain)) - run["q1_rad"]))
-        for name, values in PUBLISHED.items():
-            both = [_rms(by_bam(values, run, float(gain), sign) - run["q1_rad"]) for sign in (1.0, -1.0)]
-            out.setdefault(f"BAM {name}", []).append(min(both))
     return out
 
 
@@ -178,11 +145,9 @@ def _rms(x: FloatArray) -> float:
 
 def parameters() -> Iterator[str]:
     """Lines of the page on parameters in volts."""
-    yield from ["| model, in volts | inertia | first moment | viscous, back-EMF included |",
-                "| --- | --- | --- | --- |"]
     ours = {f"legid, {name}": (model, half[:3]) for name, (model, half) in fits().items()}
     ours |= {f"legid, mle: and {name}": (extended(name), 1.96 * _std(extended(name))[:3]) for name in EFFECTS}
-    for name, (model, half) in ours.items():
-        yield f"| {name} | " + " | ".join(f"{v:.3g} ± {h:.2g}" for v, h in zip(model.beta[:3], half)) + " |"
-    for name, p in PUBLISHED.items():
-        yield f"| BAM {name} | " + " | ".join(f"{v:.3g}" for v in in_volts(p)) + " |"
+    yield from table("model, in volts | inertia | first moment | viscous, back-EMF included", [
+        *((name, *(f"{v:.3g} ± {h:.2g}" for v, h in zip(model.beta[:3], half)))
+          for name, (model, half) in ours.items()),
+        *((f"BAM {name}", *(f"{v:.3g}" for v in in_volts(p))) for name, p in PUBLISHED.items())])

@@ -132,7 +132,3 @@ def published(values: Mapping[str, float], sign: float) -> FloatArray:
     return vector({"strength": strength, "braking": strength * values["kt"], "offset": sign * values["q_offset"],
                    **own})
 
-
-def row(name: str, p: FloatArray, train: Sequence[Run], test: Sequence[Run], servo: Servo) -> str:
-    own = float(np.sqrt(np.mean(np.square(rms(p, train, servo)))))
-    return f"| {name} | {' | '.join(f'{1e3 * one:.3g} mrad' for one in rms(p, test, servo))} | {1e3 * own:.3g} mrad |"

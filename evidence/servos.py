@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +18,10 @@ from daq import Dataset, InputError, Rig, parse_rig
 from estimator import FitError
 from evidence import what_changed
 from evidence.blind.records import UNTOUCHED
-from evidence.blind.score import Rate
+from evidence.frame import Lines, program, share, table, tell, within
 from evidence.kept import kept
-from evidence.page_file import within, write_page
 from evidence.processor_time import within_processor_time
 from evidence.registry import Evidence
-from studies import machine
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.paths import REAL
 from tests.support.servo_leg import ServoFaults, follow
@@ -227,43 +224,45 @@ def rounds(seed: int, fits: bool) -> Iterator[tuple[str, tuple[Any, ...]]]:
         turn += 1
 
 
-def page(minutes: float, records: float, seed: float, only: str) -> Iterator[str]:
-    """The page, line by line."""
+def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str = "") -> Lines:
     gains: list[Fit] = []
     loops: list[tuple[Value, ...] | None] = []
     answers: list[tuple[Hidden, int, Said]] = []
-    for kind, given in within(minutes, rounds(int(seed), only != HIDDEN)):
+    for kind, given in within(minutes, rounds(seed, only != HIDDEN)):
         if kind == "fit":
             gains.append(fit(*given))
         elif kind == "values":
             loops.append(values(*given))
         else:
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
-        print(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:], flush=True)
+        tell(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:])
     yield from [
         "# Servos: legs that follow a command", "",
-        f"Made by `make servos MINUTES={minutes:g} RECORDS={records:g} SEED={int(seed)}{only and f' ONLY={only}'}`, "
-        f"{datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds from {int(seed)}.", "",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
-        "s hold command and both angles. Intervals are Wilson's, 95 %.", "",
-        *([] if only == HIDDEN else [*intervals(gains), "", *of_loops(loops), ""]), *hidden(answers), "",
-        "A real servo by its command is in [servo-laws](servo-laws.md).", "",
-        *(real(records) if REAL.is_dir() else [
-            "The records of a real servo are left out: ../shared/realdata is not next to the checkout."]), ""]
+        "s hold command and both angles. Intervals are Wilson's, 95 %.", ""]
+    if only != HIDDEN:
+        yield from intervals(gains)
+        yield from of_loops(loops)
+    yield from hidden(answers)
+    yield from ["A real servo by its command is in [servo-laws](servo-laws.md).", ""]
+    if REAL.is_dir():
+        yield from real(records)
+    else:
+        yield "The records of a real servo are left out: ../shared/realdata is not next to the checkout."
 
 
 def intervals(fits: Sequence[Fit]) -> Iterator[str]:
     """Do the intervals hold, gain and delay unknown?"""
     good = [one for one in fits if not one.failed]
-    held = [value for one in good for value in one.held]
     late = [abs(one.delay_s) for one in good]
     yield from ["## Gain and delay unknown", "",
                 "The rig file states nothing of the servo, and `--fix` gives beta5. Gains are 4 to 12 N m/rad, delays "
-                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it.", "",
-                "| | measured |", "| --- | --- |", f"| 95 % intervals of parameters that hold | {_rate(held)} |",
-                f"| of the gain | {_rate([one.gain for one in good])} |",
-                f"| median error of the delay | {1e3 * float(np.median(late)) if late else math.nan:.2g} ms |",
-                f"| fits that end without an answer | {len(fits) - len(good)} of {len(fits)} |"]
+                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it.", ""]
+    yield from table(" | measured", [
+        f"95 % intervals of parameters that hold | {share(value for one in good for value in one.held)}",
+        f"of the gain | {share(one.gain for one in good)}",
+        f"median error of the delay | {1e3 * float(np.median(late)) if late else math.nan:.2g} ms",
+        f"fits that end without an answer | {len(fits) - len(good)} of {len(fits)}"])
 
 
 def of_loops(loops: Sequence[tuple[Value, ...] | None]) -> Iterator[str]:
@@ -273,36 +272,34 @@ def of_loops(loops: Sequence[tuple[Value, ...] | None]) -> Iterator[str]:
     yield from ["## Values of the loop unknown", "",
                 "The rig file states gain and rate. The loop damps by 0.05 to 0.25 N m s/rad and is 0 to 20 ms late. "
                 "One in three has a limit of 0.6 to 1.2 N m, one an integral of 1 to 4 N m/(rad s). Damping counts for "
-                "loops with a limit: below it, and without feedforward, damping is viscous friction.", "",
-                "| value | present and found | absent and not found | 95 % intervals that hold |",
-                "| --- | --- | --- | --- |"]
+                "loops with a limit: below it, and without feedforward, damping is viscous friction.", ""]
+    rows = []
     for key, absent in (("delay_s", math.nan), ("limit", math.inf), ("integral", 0.0), ("damping", math.nan)):
         own = [value for value in every if value.key == key]
         there = [value.found for value in own if value.true != absent]
         missing = [not value.found for value in own if value.true == absent]
         held = [value.low <= value.true <= value.high for value in own if value.sought and value.true != math.inf]
-        yield f"| {key} | {_rate(there)} | {_rate(missing)} | {_rate(held)} |"
-    yield from ["", f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer."]
+        rows.append((key, share(there), share(missing), share(held)))
+    yield from table("value | present and found | absent and not found | 95 % intervals that hold", rows)
+    yield from [f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer.", ""]
 
 
 def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:
     """What is said of hidden causes and of healthy legs?"""
     ill = [(cause, said) for cause, _, said in answers if cause.effect != "none"]
-    well = [said.verdict == "none" for cause, _, said in answers if cause.effect == "none"]
-    right = [cause.effect in said.causes for cause, said in ill]
-    near = [bool({cause.effect, *cause.also} & set(said.causes)) for cause, said in ill]
-    wrong = [bool(said.causes) and not {cause.effect, *cause.also} & set(said.causes) for cause, said in ill]
+    well = (said.verdict == "none" for cause, _, said in answers if cause.effect == "none")
+    names = [({cause.effect}, {cause.effect, *cause.also}, set(said.causes)) for cause, said in ill]
     yield from ["## Hidden causes", "", "The rig file states gain, damping and rate. A diagnosis that takes "
-                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing.", "",
-                "| | measured |", "| --- | --- |", f"| hidden cause in the answer | {_rate(right)} |",
-                f"| or one that is the same function here | {_rate(near)} |", f"| wrong names alone | {_rate(wrong)} |",
-                f"| healthy legs `none` | {_rate(well)} |", "",
-                "| hidden | seed | verdict | causes | error over noise: before, after | s |",
-                "| --- | --- | --- | --- | --- | --- |"]
-    for cause, seed, said in answers:
-        error = "-" if said.error is None else ", ".join(f"{value:.3g}" for value in said.error)
-        yield (f"| {cause.effect} | {seed} | {said.verdict} | {', '.join(said.causes) or '-'} | {error} "
-               f"| {said.wall_s:.0f} |")
+                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing.", ""]
+    yield from table(" | measured", [
+        f"hidden cause in the answer | {share(own & said for own, _, said in names)}",
+        f"or one that is the same function here | {share(near & said for _, near, said in names)}",
+        f"wrong names alone | {share(said and not near & said for _, near, said in names)}",
+        f"healthy legs `none` | {share(well)}"])
+    yield from table("hidden | seed | verdict | causes | error over noise: before, after | s", (
+        (cause.effect, seed, said.verdict, ", ".join(said.causes) or "-",
+         "-" if said.error is None else ", ".join(f"{value:.3g}" for value in said.error), f"{said.wall_s:.0f}")
+        for cause, seed, said in answers))
 
 
 def real(minutes: float) -> Iterator[str]:
@@ -315,18 +312,14 @@ def real(minutes: float) -> Iterator[str]:
             quiet.append(answer.verdict == "no_change")
         elif answer.verdict != "out of reach":
             found.setdefault((case.fault, case.ratio), []).append(case.fault in answer.causes)
-        print(case, answer, flush=True)
-    every = [value for values in found.values() for value in values]
+        tell(case, answer)
     yield from ["## A real servo against its earlier runs", "",
                 "Faults are put into the readings of the XL330 of `what-changed.md`, with its command as `q1_cmd_rad`. "
-                "Their sizes raise the free-run error of the reference's model by the ratio.", "",
-                "| fault | ratio | in the answer |", "| --- | ---: | --- |",
-                *(f"| {fault} | {ratio:g} | {_rate(values)} |" for (fault, ratio), values in sorted(found.items())),
-                f"| all | | {_rate(every)} |", f"| untouched `no_change` | | {_rate(quiet)} |"]
-
-
-def _rate(values: Sequence[bool]) -> str:
-    return str(Rate(sum(values), len(values))) if values else "-"
+                "Their sizes raise the free-run error of the reference's model by the ratio.", ""]
+    yield from table("fault | ratio | in the answer", [
+        *(f"{fault} | {ratio:g} | {share(values)}" for (fault, ratio), values in sorted(found.items())),
+        f"all | | {share(value for values in found.values() for value in values)}",
+        f"untouched `no_change` | | {share(quiet)}"])
 
 
 def _result(text: str) -> str:
@@ -345,8 +338,4 @@ EVIDENCE = (Evidence(
     "Legs behind position loops, without a torque: do intervals hold, are hidden causes found, and a real servo's?",
     "make servos", "servos.md", 15, "intervals 93 to 97 %; in the answer 90 %, wrong 3 %, healthy 98 %; the servo's "
     "faults 70 %", _result),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, minutes=(9.0, "of legs"), records=(6.0, "minutes of the real servo's records"),
-               seed=(float(SEED), "first seed"), only=("", f"{HIDDEN}: hidden causes alone"))
+main = program(page)

@@ -6,9 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,14 +16,13 @@ from typing import NamedTuple
 import mujoco
 from msgspec import structs
 
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
-from evidence.page_file import write_page
 from evidence.registry import Evidence
 from experiments.cli import main as legid
 from experiments.models import Model, load_model, save_model
 from experiments.simulators import ExportedLeg, draw_models, simulator_files, write_samples
 from experiments.simulators.parts import HELD
-from studies import machine
 from tests.support.exported_models import EFFECTS, OPPOSITE, PAIRS, angle_error, model_of
 from tests.support.paths import REAL
 
@@ -120,51 +118,43 @@ def held_by(names: Sequence[str], opposite: bool) -> str:
     return "leg.xml and leg.py" if any(name in HELD for name in names) and not opposite else "leg.py"
 
 
-def page(legs: int) -> Iterator[str]:
-    """The page, line by line."""
+def page(legs: int = 3) -> Lines:
     yield from [
         "# Exported models in MuJoCo", "",
-        f"Made by `make simulators SIMULATED={legs}`, seeds 1 to {legs}, {datetime.now(UTC):%Y-%m-%d}, {machine()}, "
-        f"MuJoCo {mujoco.__version__}.", "",
-        f"{legs} random legs, 5 s, from the same state and under the same measured torque. The table has the largest "
-        "difference of an angle's reading between `legid simulate` and the folder of `legid export --to mujoco`.",
+        f"MuJoCo {mujoco.__version__}, {legs} random legs (seeds 1 to {legs}), 5 s, from the same state and under the "
+        "same measured torque. The table has the largest difference of an angle's reading between `legid simulate` and "
+        "the folder of `legid export --to mujoco`.",
         "Target: below 1 mrad at both steps. The torque is such that no leg's motion is chaotic.", "",
         "![Knee of an emulated leg with a hidden spring: measured, plain MJCF, exported model](../mujoco.svg)", "",
         "*The knee of `legid demo` on a held-out run. MuJoCo simulates the nominal model as plain MJCF, and the "
-        "extended model as exported.*", "",
-        "| effects | held by | 1 ms [mrad] | 0.25 ms [mrad] |", "|---|---|---|---|"]
+        "extended model as exported.*", ""]
     cases: list[tuple[tuple[str, ...], bool, float]] = [((), False, 0.005), ((), False, BROAD_RADPS)]
     cases += [((name,), False, 0.005) for name in EFFECTS] + [(pair, False, 0.005) for pair in PAIRS]
     cases += [((name,), True, 0.005) for name in OPPOSITE] + [(tuple(OPPOSITE), True, 0.005)]
-    worst = 0.0
+    worst, rows = 0.0, []
     for names, opposite, smoothing in cases:
         found = errors(names, opposite, smoothing, legs)
         worst = max(worst, *found)
         told = " and ".join(names) or "none" + (f", smoothing velocity {smoothing:g} rad/s" if smoothing > 0.01 else "")
         told += ", the other sign" if opposite else ""
-        yield f"| {told} | {held_by(names, opposite)} | {1e3 * found[0]:.2f} | {1e3 * found[1]:.2f} |"
-    yield from ["", f"Largest of all: {1e3 * worst:.2f} mrad.", "", "## Real records", "",
+        rows.append(f"{told} | {held_by(names, opposite)} | {1e3 * found[0]:.2f} | {1e3 * found[1]:.2f}")
+    yield from table("effects | held by | 1 ms [mrad] | 0.25 ms [mrad]", rows)
+    yield from [f"Largest of all: {1e3 * worst:.2f} mrad.", "", "## Real records", "",
                 "A model is fitted, exported and run over a whole run, from legid's first states, under the measured "
-                "torque. Target: within 2 %.", "", "| record | channel | legid | MuJoCo | difference |",
-                "|---|---|---|---|---|"]
-    for name in RECORDS:
-        for channel, (own, other) in (record_errors(name) if REAL.is_dir() else {}).items():
-            yield f"| {name} | {channel} | {own:.4g} | {other:.4g} | {100 * (other / own - 1):+.2f} % |"
-    yield from ["", "## Speed", "", "Steps of 1 ms, of one process. Target: 50 times real time.", "",
-                "| effects | leg.py, times real time | leg.xml alone |", "|---|---|---|"]
-    for names in ((), ("load_dependent_friction",), ("stribeck_friction", "torque_saturation")):
-        module, alone = speed(names)
-        yield f"| {' and '.join(names) or 'none'} | {module:.0f} | {alone:.0f} |"
-    yield from ["", f"`mujoco.rollout`: {batch()}. Target: 1e5 on two processors.",
+                "torque. Target: within 2 %.", ""]
+    yield from table("record | channel | legid | MuJoCo | difference", (
+        f"{name} | {channel} | {own:.4g} | {other:.4g} | {100 * (other / own - 1):+.2f} %" for name in RECORDS
+        for channel, (own, other) in (record_errors(name) if REAL.is_dir() else {}).items()))
+    yield from ["## Speed", "", "Steps of 1 ms, of one process. Target: 50 times real time.", ""]
+    yield from table("effects | leg.py, times real time | leg.xml alone", (
+        "{} | {:.0f} | {:.0f}".format(" and ".join(names) or "none", *speed(names))
+        for names in ((), ("load_dependent_friction",), ("stribeck_friction", "torque_saturation"))))
+    yield from [f"`mujoco.rollout`: {batch()}. Target: 1e5 on two processors.",
                 f"Load of the machine meanwhile: {os.getloadavg()[0]:.0f} processes on {os.cpu_count()} processors.",
-                "", "MJX is compared with MuJoCo by tests/experiments/simulators/test_mjx.py, where it is installed.",
-                ""]
+                "", "MJX is compared with MuJoCo by tests/experiments/simulators/test_mjx.py, where it is installed."]
 
 
 EVIDENCE = (
     Evidence("Exported models in MuJoCo against `legid simulate`: each effect, ten pairs", "make simulators",
              "simulators.md", 8, "below 1 mrad in 5 s", (r"Largest of all: [\d.]+ mrad",)),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, legs=(3, "random legs a case"))
+main = program(page)

@@ -7,12 +7,9 @@ legs that are not scored.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,17 +18,17 @@ from daq import Dataset, FloatArray
 from daq.rig import parse_rig
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import Mechanism, leg2, simulate
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
-from studies import machine
 from tests.support.mujoco_leg import random_leg
 from tests.support.mujoco_leg import record as record_mujoco
 from tests.support.runs import load_run
 
-LEGS, TUNING, CHECKS = 10, 2, 3
+TUNING, CHECKS = 2, 3
 SECONDS, RATE_HZ, PEAK_NM = 20.0, 100.0, 1.2
 CUTOFFS = (3.0, 5.0, 8.0, 12.0, 20.0)
 PRINT = {"wls-hall": (12.927, 17.064), "wls-imu": (10.216, 19.258), "mle-free-imu": (0.919, 1.748)}
@@ -142,40 +139,8 @@ def tune(legs: Sequence[Leg]) -> dict[str, float]:
         totals[np.isnan(totals)] = 10.0 * np.nanmax(totals, initial=1.0)
         chosen[name] = CUTOFFS[int(np.argmin(totals.mean(axis=1)))]
         sums = dict(zip(CUTOFFS, totals.mean(axis=1).round(3).tolist()))
-        print(f"  {name}: {chosen[name]:g} Hz of {sums}", flush=True)
+        tell(name, chosen[name], sums)
     return {name: chosen.get(name, chosen["wls-imu"]) for name in METHODS}
-
-
-def noisy_imu(leg: Leg, times: float) -> Leg:
-    """Gyro and accelerometer with `times` their noise, added to what is there."""
-    rng = np.random.default_rng(9)
-    more = np.sqrt(times**2 - 1.0)
-    level = {"gyro_radps": 0.005, "accel_x_mps2": 0.05, "accel_y_mps2": 0.05}
-    columns = {name: values + more * level[name] * rng.normal(size=values.size) if name in level else values
-               for name, values in leg.fitted.columns.items()}
-    return replace(leg, fitted=replace(leg.fitted, columns=columns))
-
-
-def eccentric(leg: Leg, degrees: float) -> Leg:
-    """A Hall encoder of the pivot that errs by this once a turn, in the fitted run."""
-    q1 = leg.fitted["q1_rad"]
-    columns = {**leg.fitted.columns, "q1_rad": q1 + np.radians(degrees) * np.cos(q1 + 1.0)}
-    return replace(leg, fitted=replace(leg.fitted, columns=columns))
-
-
-def late(leg: Leg, samples: int) -> Leg:
-    """Torque that is logged so many samples late, in the fitted run."""
-    tau = np.concatenate([np.zeros(samples), leg.fitted["tau2_nm"][:-samples]])
-    return replace(leg, fitted=replace(leg.fitted, columns={**leg.fitted.columns, "tau2_nm": tau}))
-
-
-CHANGES: dict[str, Callable[[Leg], Leg]] = {
-    "nothing": lambda leg: leg,
-    "IMU with 5 times the noise": partial(noisy_imu, times=5.0),
-    "pivot's Hall encoder eccentric by 1 degree": partial(eccentric, degrees=1.0),
-    "pivot's Hall encoder eccentric by 4 degrees": partial(eccentric, degrees=4.0),
-    "fitted torque logged 10 ms late": partial(late, samples=1)}
-CHANGED = ("mle-imu", "mle-free-imu", "wls-imu", "wls-hall")
 
 
 def mean(values: FloatArray) -> str:
@@ -183,66 +148,34 @@ def mean(values: FloatArray) -> str:
     return f"{good.mean():.3g}" if good.size else "-"
 
 
-def family_rows(name: str, legs: Sequence[Leg], cutoffs: dict[str, float]) -> tuple[list[str], FloatArray, list[str]]:
-    """Rows of the table, totals (methods, legs), and the methods in their order."""
-    found = {method: np.array([score(leg, method, cutoffs[method]) for leg in legs]) for method in METHODS}
-    totals = np.array([found[method].sum(axis=1) for method in METHODS])
-    least = np.array([floor(leg) for leg in legs])
-    rows = []
-    lowest = np.argmin(np.where(np.isfinite(totals), totals, np.inf), axis=0)
-    for k, method in enumerate(METHODS):
-        q1, q2 = found[method].T
-        printed = " + ".join(f"{x:.3g}" for x in PRINT[method]) if method in PRINT else "-"
-        rows.append(f"| {name} | {method} | {cutoffs[method]:g} | {mean(q1)} | {mean(q2)} | {mean(totals[k])} "
-                    f"| {mean(totals[k] - least.sum(axis=1))} | {int(np.isnan(totals[k]).sum())} "
-                    f"| {int(np.sum(lowest == k))} of {len(legs)} | {printed} |")
-    rows.append(f"| {name} | true parameters | - | {mean(least[:, 0])} | {mean(least[:, 1])} "
-                f"| {mean(least.sum(axis=1))} | 0 | 0 | - | - |")
-    return rows, np.vstack([totals, least.sum(axis=1)]), list(METHODS)
-
-
-def page(seed: int, legs: int) -> str:
-    """The whole study as Markdown."""
-    rows, totals, notes = [], [], []
-    kept: dict[str, tuple[list[Leg], dict[str, float]]] = {}
+def page(legs: int = 10, seed: int = 900) -> Lines:
+    rows, totals = list[tuple[object, ...]](), []
     for name, make in FAMILIES.items():
-        print(name, flush=True)
         cutoffs = tune([make(seed + 100 + k) for k in range(min(TUNING, legs))])
         scored = [make(seed + k) for k in range(legs)]
-        kept[name] = scored, cutoffs
-        more, found, _ = family_rows(name, scored, cutoffs)
-        rows += more
-        totals.append(found)
-        print("\n".join(more), flush=True)
-    all_totals = np.concatenate(totals, axis=1)
-    names, own = list(METHODS), all_totals[:-1]
-    lowest = np.argmin(np.where(np.isfinite(own), own, np.inf), axis=0)
-    by = {n: own[k] for k, n in enumerate(names)}
-    excess = {n: own[k] - all_totals[-1] for k, n in enumerate(names)}
-    wins, count = int(np.sum(lowest == names.index("mle-imu"))), own.shape[1]
-    within = int(np.sum(by["mle-imu"] <= 1.05 * np.nanmin(own, axis=0)))
-    printed = sum(PRINT["wls-hall"]) / sum(PRINT["mle-free-imu"])
+        found = {method: np.array([score(leg, method, cutoffs[method]) for leg in scored]) for method in METHODS}
+        least = np.array([floor(leg) for leg in scored])
+        own = np.array([found[method].sum(axis=1) for method in METHODS])
+        lowest = np.argmin(np.where(np.isfinite(own), own, np.inf), axis=0)
+        for k, (method, (q1, q2)) in enumerate((m, of.T) for m, of in found.items()):
+            printed = " + ".join(f"{x:.3g}" for x in PRINT[method]) if method in PRINT else "-"
+            rows.append((name, method, f"{cutoffs[method]:g}", mean(q1), mean(q2), mean(own[k]),
+                         mean(own[k] - least.sum(axis=1)), np.isnan(own[k]).sum(), f"{np.sum(lowest == k)} of {legs}",
+                         printed))
+        rows.append((name, "true parameters", "-", *map(mean, least.T), mean(least.sum(axis=1)), 0, 0, "-", "-"))
+        totals.append(np.vstack([own, least.sum(axis=1)]))
+        tell(name, rows)
+    every = np.concatenate(totals, axis=1)
+    own, names = every[:-1], list(METHODS)
+    by = dict(zip(names, own))
+    excess = {name: values - every[-1] for name, values in by.items()}
+    wins = np.sum(np.argmin(np.where(np.isfinite(own), own, np.inf), axis=0) == names.index("mle-imu"))
 
     def ratio(method: str, of: dict[str, FloatArray]) -> str:
         return f"{np.nanmean(of['wls-hall']) / np.nanmean(of[method]):.2f}"
 
-    notes += [
-        f"MLE is lowest on {wins} of {count} legs, and within 5 % of the lowest on {within}.",
-        f"WLS-Hall over MLE: {ratio('mle-imu', by)} in sums, {ratio('mle-imu', excess)} in what is above the true "
-        f"parameters' own; WLS-Hall over the paper's MLE: {ratio('mle-free-imu', by)}. The paper prints "
-        f"{printed:.1f} ({PRINT['wls-hall'][0] / PRINT['mle-free-imu'][0]:.1f} for q1 alone)."]
-    changed = []
-    legs_of, cutoffs = kept["MuJoCo"]
-    for what, change in CHANGES.items():
-        some = [change(leg) for leg in legs_of[:3]]
-        cells = [mean(np.array([score(leg, method, cutoffs[method]).sum() for leg in some])) for method in CHANGED]
-        changed.append(f"| {what} | {' | '.join(cells)} |")
-        print(changed[-1], flush=True)
-    head = ("| legs | method | filter [Hz] | q1 [rad²] | q2 [rad²] | sum | above the truth's | failures | lowest "
-            "| paper |\n| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    return "\n".join([
+    yield from [
         "# Table V: free runs on data that the fit has not seen", "",
-        f"Made by `make table5`, seed {seed}, {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         f"{legs} emulated legs (registers, frames, drivers, recorder, clocks) and {legs} of MuJoCo's, {RATE_HZ:g} Hz. "
         f"One run of {SECONDS:g} s is fitted; {CHECKS} others are simulated freely from rest under their measured "
         "torque. Mean over legs of the summed squared errors of one run of 20 s. `hall` reads the pivot's encoder, "
@@ -250,23 +183,20 @@ def page(seed: int, legs: int) -> str:
         f"Filters are the best of {', '.join(f'{c:g}' for c in CUTOFFS)} Hz on {TUNING} other legs of the family; "
         "`rls` has that of `wls-imu`, `mle` and `hekf` need one for their start only. Failures (no fit, no "
         "convergence, a diverged free run) are counted and left out of the means. The last row of a family is "
-        "what the noise of the measured torque leaves.",
-        "", head, *rows, "", *(f"- {note}" for note in notes), "",
-        "## One thing changed at a time", "",
-        "Three MuJoCo legs, sums as above; only the fitted run is changed.", "",
-        f"| changed | {' | '.join(CHANGED)} |", f"| --- |{' ---: |' * len(CHANGED)}", *changed, ""])
+        "what the noise of the measured torque leaves.", ""]
+    yield from table("legs | method | filter [Hz] | q1 [rad²] | q2 [rad²] | sum | above the truth's | failures | "
+                     "lowest | paper", rows)
+    yield from [
+        f"- MLE is lowest on {wins} of {own.shape[1]} legs, and within 5 % of the lowest on "
+        f"{np.sum(by['mle-imu'] <= 1.05 * np.nanmin(own, axis=0))}.",
+        f"- WLS-Hall over MLE: {ratio('mle-imu', by)} in sums, {ratio('mle-imu', excess)} in what is above the true "
+        f"parameters' own; WLS-Hall over the paper's MLE: {ratio('mle-free-imu', by)}. The paper prints "
+        f"{sum(PRINT['wls-hall']) / sum(PRINT['mle-free-imu']):.1f} "
+        f"({PRINT['wls-hall'][0] / PRINT['mle-free-imu'][0]:.1f} for q1 alone)."]
 
 
 EVIDENCE = (
     Evidence("Table V of the paper: free runs of every method on twenty legs", "make table5", "table5.md", 15,
              "MLE within 5 % of the lowest on 18 of 20 legs",
              (r"MLE is lowest on \d+ of \d+ legs, and within 5 % of the lowest on \d+",)),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seed", type=int, default=900)
-    parser.add_argument("--legs", type=int, default=LEGS)
-    given = parser.parse_args(arguments)
-    given.out.write_text(page(given.seed, given.legs), encoding="utf-8")
+main = program(page)

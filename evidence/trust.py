@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,19 +19,17 @@ import legid
 from daq import Dataset, InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from evidence.blind.score import Rate
+from evidence.frame import Lines, program, share, table, tell, within
 from evidence.kept import kept
 from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, hidden_at, make
 from evidence.lab_legs import lab_leg
 from evidence.machine_records import MACHINES, Machine
 from evidence.machines import typed, unpack
-from evidence.page_file import within, write_page
 from evidence.registry import Evidence
 from experiments.session import as_datasets
-from studies import machine
 from studies.casebook import RIGS, load_cases
 from tests.support.paths import REAL
 
-SEED = 6200
 LAB = "tolerances"
 """Family whose faults are drawn from the default tolerances, the scale of the torque among them."""
 EVERY_FAMILY = {**FAMILIES, LAB: Family("MuJoCo under a position servo, every fault drawn from its tolerance", (),
@@ -143,13 +140,12 @@ def cases(turns: int) -> Iterator[tuple[str, int]]:
         yield from ((family, turn) for family in EVERY_FAMILY if family != SLOW or turn % EVERY in (0, 1))
 
 
-def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]:
-    """The page, line by line."""
+def page(turns: int = 40, minutes: float = 60.0, seed: int = 6200, snapshots: str = "") -> Lines:
     rows, real = list[Outcome](), list[Outcome]()
     for family, turn in within(minutes, cases(turns)):
         rows += leg(family, turn, seed)
         for one in rows[-2:]:
-            print(turn, *one[:4], len(one.errors), sum(held for _, held in one.errors.values()), sep=" | ", flush=True)
+            tell(turn, *one[:4], len(one.errors), sum(held for _, held in one.errors.values()))
     beyond = {times: list[Outcome]() for times in WRONG}
     for times, turn in within(minutes * len(WRONG) / 10.0, [(times, turn) for turn in range(turns) for times in WRONG]):
         beyond[times] += wrong(times, turn, seed)
@@ -161,7 +157,6 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
                 for name in EVERY_FAMILY for kind, healthy in KINDS]
     yield from [
         "# Is TRUST right?", "",
-        f"Made by `make trust MINUTES={minutes:g}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         "Legs of seven families with known parameters. Every second leg has one hidden effect of the family's ordinary "
         f"strength. Each leg is fitted from its first run and from all {RUNS}, as `legid fit RUNS --rig RIG` does. The "
         "torque of these legs has the right scale, and their rig files say so; all other tolerances are the defaults. "
@@ -174,45 +169,39 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
         "only where the leg has the nominal model's law. The rotor of a geared leg is lumped into the parameters whose "
         "torque is nearest. Parameters at a bound and fits without values do not count. Half widths are medians over "
         "inertias and gravity terms.", "",
-        f"{len(rows) // 2} legs were measured.", "",
-        HEAD, RULE, *(_line(f"{name}, {kind}", some) for name, kind, some in families if some),
+        f"{len(rows) // 2} legs were measured.", ""]
+    yield from table(HEAD, [
+        *(_line(f"{name}, {kind}", some) for name, kind, some in families if some),
         *(_line(f"in all, {kind}", [one for one in rows if (one.hidden == HEALTHY) == healthy])
           for kind, healthy in KINDS),
         *(_line(f"in all, {count} run{'s' * (count > 1)}", [one for one in rows if one.runs == count])
           for count in (1, RUNS)),
-        _line("in all", rows), "",
-        "| trusted fits | inertias and gravity terms within | friction within |", "| --- | --- | --- |",
-        *(f"| {kind} | {_within(some, RIGID)} | {_within(some, NAMES[5:])} |" for kind, some in (
-            ("no effect", [one for one in rows if one.trusted and one.hidden == HEALTHY]),
-            ("hidden effect", [one for one in rows if one.trusted and one.hidden != HEALTHY]))), "",
-        "Faults drawn from half and from twice the tolerances that the rig file says:", "", HEAD, RULE,
-        *(_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items() if some), "",
-        "Trusted fits that miss inertias or gravity terms:", "",
-        "| family | hidden | runs | within | largest distance |", "| --- | --- | ---: | ---: | ---: |",
-        *_misses(rows)]
+        _line("in all", rows)])
+    yield from table("trusted fits | inertias and gravity terms within | friction within", (
+        (kind, _within(some, RIGID), _within(some, NAMES[5:])) for kind, healthy in KINDS
+        for some in [[one for one in rows if one.trusted and (one.hidden == HEALTHY) == healthy]]))
+    yield from ["Faults drawn from half and from twice the tolerances that the rig file says:", ""]
+    yield from table(HEAD, (_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items()
+                            if some))
+    yield from ["Trusted fits that miss inertias or gravity terms:", ""]
+    yield from table("family | hidden | runs | within | largest distance", _misses(rows))
     if real:
-        yield from ["", "Real records against published values, which have errors of their own:", "",
-                    "| record | fit | first line | published values within | largest distance |",
-                    "| --- | --- | --- | --- | ---: |"]
-        for one in real:
-            held = [inside for _, inside in one.errors.values()]
-            far = max((abs(z) for z, _ in one.errors.values()), default=np.nan)
-            yield (f"| {one.source} | {'-' if one.hidden == HEALTHY else one.hidden} | {_short(one.sentence)} | "
-                   f"{sum(held)} of {len(held)} | {'-' if np.isnan(far) else f'{far:.1f}'} |")
-    yield ""
+        yield from ["Real records against published values, which have errors of their own:", ""]
+        yield from table("record | fit | first line | published values within | largest distance", (
+            (one.source, one.hidden.replace(HEALTHY, "-"), _short(one.sentence), *_held(one.errors.values()))
+            for one in real))
 
 
 KINDS = (("no effect", True), ("hidden effect", False))
-HEAD = ("| legs | fits | trusted | trusted: within | others: within | trusted: distance | others: distance | trusted: "
-        "half width | others: half width |")
-RULE = "| --- | ---: | --- | --- | --- | --- | --- | ---: | ---: |"
+HEAD = ("legs | fits | trusted | trusted: within | others: within | trusted: distance | others: distance | trusted: "
+        "half width | others: half width")
 
 
-def _line(name: str, rows: Sequence[Outcome]) -> str:
+def _line(name: str, rows: Sequence[Outcome]) -> tuple[object, ...]:
     """A row of the table of rates."""
     groups = [one for one in rows if one.trusted], [one for one in rows if not one.trusted]
-    return (f"| {name} | {len(rows)} | {Rate(len(groups[0]), len(rows))} | {' | '.join(map(_within, groups))} | "
-            f"{' | '.join(map(_distance, groups))} | {' | '.join(map(_half_width, groups))} |")
+    return (name, len(rows), Rate(len(groups[0]), len(rows)), *map(_within, groups), *map(_distance, groups),
+            *map(_half_width, groups))
 
 
 def _half_width(rows: Sequence[Outcome]) -> str:
@@ -221,8 +210,14 @@ def _half_width(rows: Sequence[Outcome]) -> str:
 
 
 def _within(rows: Sequence[Outcome], names: Sequence[str] = NAMES) -> str:
-    held = [inside for one in rows for name, (_, inside) in one.errors.items() if name in names]
-    return str(Rate(sum(held), len(held))) if held else "-"
+    return share(inside for one in rows for name, (_, inside) in one.errors.items() if name in names)
+
+
+def _held(errors: Iterable[tuple[float, bool]]) -> tuple[str, str]:
+    """How many are within, and the largest distance."""
+    every = list(errors)
+    return (f"{sum(inside for _, inside in every)} of {len(every)}",
+            f"{max(abs(z) for z, _ in every):.1f}" if every else "-")
 
 
 def _distance(rows: Sequence[Outcome]) -> str:
@@ -230,19 +225,17 @@ def _distance(rows: Sequence[Outcome]) -> str:
     return "{:.1f}, {:.1f}".format(*np.quantile(far, (0.5, 0.95))) if far else "-"
 
 
-def _misses(rows: Sequence[Outcome]) -> Iterator[str]:
+def _misses(rows: Sequence[Outcome]) -> Iterator[tuple[object, ...]]:
     """Rows of the table of trusted fits that miss most."""
     for one in rows:
         own = [one.errors[name] for name in RIGID if name in one.errors]
-        held = sum(inside for _, inside in own)
-        if one.trusted and held < len(own):
-            far = max(abs(z) for z, _ in own)
-            yield f"| {one.source} | {one.hidden} | {one.runs} | {held} of {len(own)} | {far:.1f} |"
+        if one.trusted and not all(inside for _, inside in own):
+            yield one.source, one.hidden, one.runs, *_held(own)
 
 
 def _short(sentence: str) -> str:
     """Without what follows the colon."""
-    return sentence.split(":")[0].split(";")[0].rstrip(".").replace("|", "/")
+    return sentence.split(":")[0].split(";")[0].rstrip(".")
 
 
 EVIDENCE = (
@@ -250,9 +243,4 @@ EVIDENCE = (
              60, "95 % of those of trusted fits",
              tuple(rf"({which}) \| \d+ \| [^|]*\| ([^|]*\))"
                    for which in ("in all, no effect", "in all, hidden effect", "in all"))),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, turns=(40, "at most"),
-               minutes=(60.0, "after which no other leg is begun"), seed=(SEED, "of the legs"),
-               snapshots=("", "a folder with a clone of each repository of `machines`; without it these are left out"))
+main = program(page)

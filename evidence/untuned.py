@@ -5,13 +5,11 @@ A rig.toml holds the mechanism, its driven joints, the gear and gravity, and not
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +17,11 @@ import numpy as np
 from daq.dataset import Dataset, FloatArray
 from daq.rig import Rig, parse_rig
 from daq.runs.csv_run import write_csv
-from estimator.calibration.encoder_zeros import find_zeros, subtract
 from estimator.fitting.fit import fit
-from estimator.options import FitOptions
-from estimator.prediction import SHORT_S, FittedModel, predict_filtered
-from estimator.signals import split_signals
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments import cli
-from experiments.models.mechanism_settings import build_mechanism
 from experiments.session import load_runs, setup_of, with_choices
 from experiments.workflows import fit_runs
 from experiments.workflows.tune import tune_runs
@@ -49,20 +43,15 @@ class Record:
     rig: str
     published: tuple[float, ...]
     """The first parameters."""
-    friction: tuple[float, ...] = ()
-    """The rest, and rotors and offsets in the mechanism's order, for a simulation of the published model."""
-    terms: str = ""
 
 
 RECORDS = {
     "dfki_c0": Record("two-link arm, design C.0", ("00", "01", "02", "03", "04", "05", "06"), ARM,
-                      (0.05354, 0.05328, 0.03623, 0.24113, 0.18117), (0.001, 0.001, 0.14608, 0.12252, 0.00417),
-                      "[terms]\nrotor_inertia = [2]\n"),
+                      (0.05354, 0.05328, 0.03623, 0.24113, 0.18117)),
     "dfki_a0": Record("two-link arm, design A.0", ("00", "01", "02", "03", "12"), ARM,
-                      (0.11116, 0.02346, 0.03332, 0.34912, 0.11106), (0.001, 0.001, 0.14608, 0.12252, 0.00322),
-                      "[terms]\nrotor_inertia = [2]\n"),
+                      (0.11116, 0.02346, 0.03332, 0.34912, 0.11106)),
     "emps": Record("prismatic axis", ("estimation",), JOINT + "gravity_mps2 = 0.0\n",
-                   (95.1089, 203.5034, 20.3935), (-3.1648,), "[terms]\ntorque_offset = [1]\n"),
+                   (95.1089, 203.5034, 20.3935)),
     # R / kt = 14.74 V/(N m) times (m l^2 + armature, m l, friction), and kt: the authors' model m1, without Stribeck's
     "bam_xl330": Record("servo and pendulum, volts (the authors' Coulomb and viscous model)",
                         tuple(f"kp{k}_{end}" for k in (100, 400) for end in ENDS),
@@ -79,7 +68,7 @@ def departures(beta: FloatArray, published: Sequence[float]) -> str:
 
 
 @kept
-def accuracy(folder: str) -> str:
+def accuracy(folder: str) -> tuple[str, ...]:
     """One row: departure from what is published, as before, by `fit` alone, and after `tune`."""
     known = RECORDS[folder]
     silent = parse_rig(known.rig)
@@ -90,42 +79,7 @@ def accuracy(folder: str) -> str:
     tuned = with_choices(silent, tune_runs(paths_of(folder), silent).choices)
     last = fit_runs(load_runs(paths_of(folder), tuned), tuned)
     cells = [departures(found.beta, known.published) for found in (before, after.result, last.result)]
-    return f"| {known.title} | {' | '.join(cells)} |"
-
-
-@kept
-def left_out(folder: str) -> str:
-    """One row: error over a second of each run by the parameters of the others, and by the published ones."""
-    known = RECORDS[folder]
-    silent = parse_rig(known.rig)
-    runs = load_runs(paths_of(folder), silent)
-    stated = parse_rig(known.rig + known.terms)
-    published = np.array([*known.published, *known.friction])
-    squares = np.zeros((5, build_mechanism(setup_of(runs, stated).settings).n))
-    pieces = runs if len(runs) > 1 else tuple(runs[0].part(part) for part in (
-        slice(0, len(runs[0]) // 2), slice(len(runs[0]) // 2, None)))
-    for k, run in enumerate(pieces):
-        others = [other for i, other in enumerate(pieces) if i != k]
-        plain = setup_of(others, silent)
-        before = fit(plain.datasets, plain.mechanism, plain.options).beta
-        fitted = fit_runs(others, silent)
-        ways = ((plain.mechanism, before), (fitted.setup.mechanism, fitted.result.beta),
-                (setup_of([run], stated).mechanism, published))
-        for way, (mechanism, beta) in enumerate(ways):
-            model = FittedModel(mechanism, "linear", beta)
-            squares[way] += squared(model, [run], plain.options)
-            if way > 0 and mechanism.n > 1:
-                zeros = find_zeros([run], mechanism, plain.options, (0, 1), beta)
-                squares[way + 2] += squared(model, subtract([run], mechanism, zeros), plain.options)
-    errors = np.sqrt(squares[: 5 if squares.shape[1] > 1 else 3] / len(pieces))
-    cells = [" ".join(f"{x:.3g}" for x in row) for row in errors]
-    return f"| {known.title} | {' | '.join([*cells, *[''] * (5 - len(cells))])} |"
-
-
-def squared(model: FittedModel, runs: Sequence[Dataset], options: FitOptions) -> FloatArray:
-    """(n,) mean squared error over a second [rad^2]."""
-    table = predict_filtered([model], split_signals(runs, model.mechanism, options), options, SHORT_S)
-    return np.array([table.rms(0, c, SHORT_S) ** 2 for c in table.angles])
+    return known.title, *cells
 
 
 Spoil = Callable[[Dataset], Mapping[str, FloatArray]]
@@ -230,55 +184,36 @@ def fitted(runs: Sequence[Dataset], rig: str) -> tuple[int, str]:
 
 
 @kept
-def judged(case: Case) -> tuple[str, bool]:
+def judged(case: Case) -> tuple[tuple[str, ...], bool]:
     """A row of the page, and whether the right thing was said."""
     where, what, rig, runs, words = case
     status, said = fitted(runs, rig)
     named = words.replace(".csv.gz", ".csv") in said
     silent = status == 0 and "warning:" not in said
     verdict = "SILENT" if silent else "named" if named else "not named"
-    return f"| {where} | {what} | {'refused' if status else 'warned'} | {verdict} |", named and not silent
+    return (where, what, "refused" if status else "warned", verdict), named and not silent
 
 
-def page(folders: Sequence[str]) -> str:
-    """The page's text."""
+def page(only: Sequence[str] = tuple(RECORDS)) -> Lines:
+    if not REAL.is_dir():
+        raise SystemExit(f"{REAL} is not there: the records are no part of the project")
     rows = [judged(case) for case in cases()]
-    good = sum(ok for _, ok in rows)
-    accurate, predicted = [], []
-    for folder in folders:
-        accurate.append(accuracy(folder))
-        if RECORDS[folder].friction:
-            predicted.append(left_out(folder))
-        print(accurate[-1], *predicted[-1:], sep="\n")
-    return "\n".join([
+    yield from [
         "# Real records without a specialist", "",
-        f"Made by `make untuned` on {datetime.now(UTC):%Y-%m-%d}. A rig.toml holds mechanism, driven joints, gear and "
-        "gravity, nothing", "else. Every figure is of one command without an option.", "",
+        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing",
+        "else. Every figure is of one command without an option.", "",
         "## Departure from what is published [%]", "",
         "beta1, beta2, ... in the mechanism's order. Before: a fit that chooses nothing. `fit`: with its own "
-        "choices", "for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`.", "",
-        "| record | before | `fit` | `tune`, then `fit` |", "|---|---|---|---|", *accurate, "",
-        "## Error over a second, each run by the parameters of the others (rms, by joint)", "",
-        "Pieces of 1 s from the measured state. The last two columns: less the zeros of the run's encoders, by the "
-        "parameters", "in question.", "",
-        "| record | before | `fit` | published parameters | `fit`, less zeros | published, less zeros |",
-        "|---|---|---|---|---|---|", *predicted, "",
-        "## Spoilt set-ups", "",
-        f"{good} of {len(rows)} variants are named with the right remedy or run; none may converge in silence.", "",
-        "| record | spoilt by | `legid fit` | the cause is |", "|---|---|---|---|", *(row for row, _ in rows), ""])
+        "choices", "for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`.", ""]
+    yield from table("record | before | `fit` | `tune`, then `fit`", map(accuracy, only))
+    yield from ["## Spoilt set-ups", "",
+                f"{sum(ok for _, ok in rows)} of {len(rows)} variants are named with the right remedy or run; none may "
+                "converge in silence.", ""]
+    yield from table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
 
 
 EVIDENCE = (
     Evidence("Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
              "every spoilt set-up named with its remedy, none converges silently",
              (r"\d+ of \d+ variants are named with the right remedy or run",)),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--only", choices=RECORDS, action="append")
-    words = parser.parse_args(arguments)
-    if not REAL.is_dir():
-        raise SystemExit(f"{REAL} is not there: the records are no part of the project")
-    words.out.write_text(page(words.only or list(RECORDS)))
+main = program(page)

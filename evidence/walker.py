@@ -6,14 +6,12 @@ impact of its own. It shares nothing with the estimator.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +22,10 @@ from daq.runs import write_csv
 from estimator.likelihood import Noise
 from estimator.model import biped3
 from estimator.signals import find_touchdowns
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.cli.main import main as legid
-from studies import machine
 from tests.support.cramer_rao import fisher_information, inverse_information
 from tests.support.walker_plant import (
     Gait,
@@ -189,23 +187,21 @@ def look_ahead(seed: int) -> list[dict[str, Any]]:
     return ahead
 
 
-def ahead_page(found: Sequence[Sequence[dict[str, Any]]]) -> list[str]:
+def ahead_page(found: Sequence[Sequence[dict[str, Any]]]) -> Iterator[str]:
     """What free runs across touchdowns come to."""
     rows = []
-    for n in range(max(map(len, found))):
+    for n in range(max(map(len, found), default=0)):
         of = [f[n] for f in found if len(f) > n]
         pieces, fell = sum(a["pieces"] for a in of), sum(a["fell"] for a in of)
         weights = np.array([a["pieces"] - a["fell"] for a in of])
-        cells = ["all fell"] * 3 if fell == pieces else [
+        rows.append((n + 1, pieces, fell, *(["all fell"] * 3 if fell == pieces else [
             f"{np.sqrt(np.average([(a['rmse'][f'q{j}_rad'] or 0.0) ** 2 for a in of], weights=weights)):.3f}"
-            for j in (1, 2, 3)]
-        rows.append(f"| {n + 1} | {pieces} | {fell} | {' | '.join(cells)} |")
-    return ["## Across touchdowns", "",
-            f"`legid validate` of a fit on another walk of the same body, {len(found)} bodies. Free runs start with "
-            "each step under measured torques, without a controller. Errors [rad] are of the last of so many steps.",
-            "",
-            "| steps | free runs | fell | torso | hip, standing leg | hip, swinging leg |",
-            "| ---: | ---: | ---: | ---: | ---: | ---: |", *rows, ""]
+            for j in (1, 2, 3)])))
+    yield from ["## Across touchdowns", "",
+                f"`legid validate` of a fit on another walk of the same body, {len(found)} bodies. Free runs start "
+                "with each step under measured torques, without a controller. Errors [rad] are of the last of so many "
+                "steps.", ""]
+    yield from table("steps | free runs | fell | torso | hip, standing leg | hip, swinging leg", rows)
 
 
 @dataclass(frozen=True)
@@ -242,7 +238,7 @@ def diagnose(seed: int, hidden: str) -> Case:
     return Case(seed, hidden, joint, document["verdict"], [(c["effect"], c["joint"]) for c in document["causes"]])
 
 
-def fit_page(fits: Sequence[Fit]) -> list[str]:
+def fit_page(fits: Sequence[Fit]) -> Iterator[str]:
     """What the fits say."""
     late = 1e3 * np.abs(np.concatenate([f.touchdown for f in fits]))
     rows = []
@@ -251,34 +247,40 @@ def fit_page(fits: Sequence[Fit]) -> list[str]:
                       for field in ("by_own", "by_bound"))
         each = np.sqrt(np.mean(ratio**2, axis=0))
         inside = np.abs(own) < 1.96
-        rows.append(f"| {told} | {len(own)} of {len(fits)} | {np.sqrt(np.mean(ratio**2)):.2f} | {each.max():.2f} "
-                    f"| {100 * inside.mean():.1f} % +- {100 * inside.mean(axis=1).std() / np.sqrt(len(own)):.1f} |")
-    return ["## Fits", "",
-            f"{len(fits)} walks of {STEPS} steps, a body each, at {RATE_HZ:g} Hz: torso's angle to "
-            f"{1e3 * SENSORS.torso_rad:g} mrad, hips' to {1e3 * SENSORS.encoder_rad:g}, torques to "
-            f"{SENSORS.torque_nm:g} N m, levels declared. `legid fit` of each walk alone. Error over the Cramér-Rao "
-            "bound of all samples, the touchdowns known exactly.", "",
-            "| touchdowns | converged | rms error / bound | worst parameter | 95 % intervals that hold |",
-            "| --- | ---: | ---: | ---: | ---: |", *rows, "",
-            f"Touchdowns found: {late.size} of {late.size} to within {late.max():.2f} ms, "
-            f"{np.sqrt(np.mean(late**2)):.2f} ms rms."
-            if np.isfinite(late).all() else "Touchdowns were missed, or invented.", ""]
+        rows.append(f"{told} | {len(own)} of {len(fits)} | {np.sqrt(np.mean(ratio**2)):.2f} | {each.max():.2f} "
+                    f"| {100 * inside.mean():.1f} % +- {100 * inside.mean(axis=1).std() / np.sqrt(len(own)):.1f}")
+    yield from ["## Fits", "",
+                f"{len(fits)} walks of {STEPS} steps, a body each, at {RATE_HZ:g} Hz: torso's angle to "
+                f"{1e3 * SENSORS.torso_rad:g} mrad, hips' to {1e3 * SENSORS.encoder_rad:g}, torques to "
+                f"{SENSORS.torque_nm:g} N m, levels declared. `legid fit` of each walk alone. Error over the "
+                "Cramér-Rao bound of all samples, the touchdowns known exactly.", ""]
+    yield from table("touchdowns | converged | rms error / bound | worst parameter | 95 % intervals that hold", rows)
+    yield from [f"Touchdowns found: {late.size} of {late.size} to within {late.max():.2f} ms, "
+                f"{np.sqrt(np.mean(late**2)):.2f} ms rms."
+                if np.isfinite(late).all() else "Touchdowns were missed, or invented.", ""]
 
 
-def case_page(cases: Sequence[Case]) -> list[str]:
-    """What the diagnoses say."""
-    def place(effect: str, joint: int | None) -> str:
-        return effect if joint is None else f"{effect} at joint {joint}"
+def place(effect: str, joint: int | None) -> str:
+    return effect if joint is None else f"{effect} at joint {joint}"
 
-    healthy = [c for c in cases if not c.hidden]
-    ill = [c for c in cases if c.hidden]
-    rows = [f"| {c.seed} | {place(c.hidden, c.joint) if c.hidden else 'nothing'} | {c.verdict} "
-            f"| {', '.join(place(*x) for x in c.causes)} |" for c in cases]
-    return ["## Diagnoses", "",
-            f"{RUNS} walks of {RUN_STEPS} steps of one body each, at {RUN_RATE_HZ:g} Hz, `legid diagnose`. Named "
-            f"alone: {sum(c.right for c in ill)} of {len(ill)} hidden effects; nothing named: "
-            f"{sum(c.right for c in healthy)} of {len(healthy)} healthy walkers.", "",
-            "| seed | hidden | verdict | causes |", "| ---: | --- | --- | --- |", *rows, ""]
+
+def page(fits: int = 24, cases: int = 10, seed: int = 7000) -> Lines:
+    kinds = list(HIDDEN)
+    yield from ["# Twenty steps of a walker", "",
+                "A planar walker of three bodies (Grizzle, Abba and Plestan 2001) on level ground. A plant of the "
+                "tests simulates it: landing is an event, the impact has no slip or rebound. Masses, lengths and "
+                "inertias vary by an eighth either way.", ""]
+    yield from fit_page([fit_walk(seed + k) for k in range(fits)])
+    yield from ahead_page([found for k in range(min(4, fits)) if (found := look_ahead(seed + 300 + k))])
+    ill = [diagnose(seed + 100 + k, kinds[k % len(kinds)]) for k in range(cases)]
+    healthy = [diagnose(seed + 200 + k, "") for k in range(cases)]
+    yield from ["## Diagnoses", "",
+                f"{RUNS} walks of {RUN_STEPS} steps of one body each, at {RUN_RATE_HZ:g} Hz, `legid diagnose`. Named "
+                f"alone: {sum(c.right for c in ill)} of {len(ill)} hidden effects; nothing named: "
+                f"{sum(c.right for c in healthy)} of {len(healthy)} healthy walkers.", ""]
+    yield from table("seed | hidden | verdict | causes", (
+        (c.seed, place(c.hidden, c.joint) or "nothing", c.verdict, ", ".join(place(*x) for x in c.causes))
+        for c in (*ill, *healthy)))
 
 
 EVIDENCE = (
@@ -286,31 +288,4 @@ EVIDENCE = (
              "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
              (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
               r"nothing named: \d+ of \d+ healthy walkers")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fits", type=int, default=24)
-    parser.add_argument("--cases", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=7000)
-    parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
-    fits: list[Fit] = []
-    for seed in range(given.seed, given.seed + given.fits):
-        fits.append(fit_walk(seed))
-        print(seed, {k: np.round(v, 1).tolist() for k, v in fits[-1].by_bound.items()}, flush=True)
-    ahead = [found for k in range(min(4, given.fits)) if (found := look_ahead(given.seed + 300 + k))]
-    print(f"across touchdowns: {len(ahead)} walkers", flush=True)
-    cases: list[Case] = []
-    kinds = list(HIDDEN)
-    for k in range(given.cases):
-        for start, hidden in ((100, kinds[k % len(kinds)]), (200, "")):
-            cases.append(diagnose(given.seed + start + k, hidden))
-            print(cases[-1], flush=True)
-    text = ["# Twenty steps of a walker", "",
-            f"Made by `make walker`, seeds from {given.seed}, {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-            "A planar walker of three bodies (Grizzle, Abba and Plestan 2001) on level ground. A plant of the "
-            "tests simulates it: landing is an event, the impact has no slip or rebound. Masses, lengths and "
-            "inertias vary by an eighth either way.", "",
-            *fit_page(fits), *ahead_page(ahead), *case_page(sorted(cases, key=lambda c: c.seed))]
-    given.out.write_text("\n".join(text), encoding="utf-8")
+main = program(page)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import cache
 from itertools import combinations
 from typing import NamedTuple
@@ -21,14 +20,13 @@ from daq import Dataset, InputError, WorkError, load_rig
 from estimator import FitError
 from estimator.change import ChangedCause
 from evidence.blind.records import COMMANDS, FAULTS, RECORDS, RIGS, UNTOUCHED
+from evidence.frame import Lines, program, table, tell, within
 from evidence.kept import kept
-from evidence.page_file import within, write_page
 from evidence.registry import Evidence
 from experiments.documents import finite
 from experiments.models import Model
 from experiments.session import as_datasets
 from experiments.workflows import find_change
-from studies import machine
 from tests.support.paths import REAL
 
 SPLITS, SEED = 10, 40
@@ -172,12 +170,11 @@ def cases() -> Iterator[Case]:
                 yield from (Case(record, splits[record][turn], fault, ratio) for ratio in RATIOS)
 
 
-def page(minutes: float) -> Iterator[str]:
-    """The page, line by line."""
+def page(minutes: float = 60.0) -> Lines:
     every = list[tuple[Case, Answer]]()
     for case in within(minutes, cases()):
         every.append((case, one(*case)))
-        print(*every[-1], flush=True)
+        tell(*every[-1])
     rows = [row for row in every if row[1].verdict != "out of reach"]
     spoiled = [row for row in rows if row[0].fault != UNTOUCHED]
     plain = [answer for case, answer in rows if case.fault == UNTOUCHED]
@@ -198,8 +195,7 @@ def page(minutes: float) -> Iterator[str]:
 
     yield from [
         "# What changed on a real machine", "",
-        f"Made by `make changed`, {SPLITS} random splits of each record into reference and test runs (seed {SEED}), "
-        f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
+        f"{SPLITS} random splits of each record into reference and test runs (seed {SEED}). "
         f"Splits with faults: {', '.join(f'{count} of {record}' for record, count in zip(USED, splits))}.",
         "Each fault is put exactly into the readings of the test runs. Its size is the smallest that raises the "
         f"free-run error of the reference's nominal model on the test runs by the ratio. Free runs take {PIECE_S:g} s, "
@@ -207,33 +203,33 @@ def page(minutes: float) -> Iterator[str]:
         "so its reference and test runs mostly hold different motion. The form of the model of unexplained structure "
         "was chosen on splits of `a0` and the servo. The rules for further sizes and for left-out runs were chosen on "
         "all three records. The arms showed that declared zeros of encoders must be unknown in each run.", "",
-        f"| | {' | '.join(f'ratio {ratio:g}' for ratio in RATIOS)} | all | wanted |",
-        f"| --- |{' --- |' * len(RATIOS)} --- | --- |",
-        f"| fault in the answer | {' | '.join(map(counted, by_ratio))} | {counted(spoiled)} | 80, 90, 95 % |",
-        f"| fault in the answer, arms only | {' | '.join(counted(of) for of in on_arms)} | "
-        f"{counted([row for of in on_arms for row in of])} | 80, 90, 95 % |",
-        f"| the fault named and nothing else | {' | '.join(map(alone, by_ratio))} | {alone(spoiled)} | |",
-        f"| wrong names alone | {' | '.join(counted(of, True) for of in by_ratio)} | {counted(spoiled, True)} | "
-        "at most 3 % |",
-        f"| size within its interval |{' |' * len(RATIOS)} {sum(sized)} of {len(sized)} | 90 % |",
-        f"| untouched sessions `no_change` |{' |' * len(RATIOS)} {quiet} of {len(plain)} | 95 % |", "",
-        "| record | fault | ratio | sizes | in the answer | wrong names | `changed_unexplained` | `no_change` | "
-        "out of reach |",
-        "| --- | --- | ---: | --- | --- | --- | --- | --- | --- |"]
+        ]
+    yield from table(f" | {' | '.join(f'ratio {ratio:g}' for ratio in RATIOS)} | all | wanted", [
+        ("fault in the answer", *map(counted, by_ratio), counted(spoiled), "80, 90, 95 %"),
+        ("fault in the answer, arms only", *map(counted, on_arms), counted([row for of in on_arms for row in of]),
+         "80, 90, 95 %"),
+        ("the fault named and nothing else", *map(alone, by_ratio), alone(spoiled), ""),
+        ("wrong names alone", *(counted(of, True) for of in by_ratio), counted(spoiled, True), "at most 3 %"),
+        ("size within its interval", *[""] * len(RATIOS), f"{sum(sized)} of {len(sized)}", "90 %"),
+        ("untouched sessions `no_change`", *[""] * len(RATIOS), f"{quiet} of {len(plain)}", "95 %")])
+    lines = []
     for record, fault, ratio in sorted({(case.record, case.fault, case.ratio) for case, _ in every},
                                        key=lambda key: (USED.index(key[0]), key[1] != UNTOUCHED, key[1:])):
         own = [(case, a) for case, a in every if (case.record, case.fault, case.ratio) == (record, fault, ratio)]
         reached = [row for row in own if row[1].verdict != "out of reach"]
         verdicts = [answer.verdict for _, answer in reached]
         sizes = [answer.size for _, answer in reached]
-        between = "-" if fault == UNTOUCHED or not sizes else f"{min(sizes):.2g} to {max(sizes):.2g}"
-        yield (f"| {record} | {fault} | {'-' if fault == UNTOUCHED else f'{ratio:g}'} | {between} | "
-               f"{'-' if fault == UNTOUCHED else counted(reached)} | {counted(reached, True)} | "
-               f"{verdicts.count('changed_unexplained')} | {verdicts.count('no_change')} | {len(own) - len(reached)} |")
+        put = [f"{ratio:g}", f"{min(sizes):.2g} to {max(sizes):.2g}" if sizes else "-", counted(reached)]
+        if fault == UNTOUCHED:
+            put = ["-"] * 3
+        lines.append((record, fault, *put, counted(reached, True), verdicts.count("changed_unexplained"),
+                      verdicts.count("no_change"), len(own) - len(reached)))
+    yield from table("record | fault | ratio | sizes | in the answer | wrong names | `changed_unexplained` | "
+                     "`no_change` | out of reach", lines)
     largest = ", ".join(f"`{fault}` {size:g}{unit}" for (fault, size), unit in zip(
         LARGEST.items(), (" s", "", " rad", "", " rad")))
     yield from [
-        "", f"Out of reach: no admissible size has the ratio. The largest admissible sizes are {largest}. An "
+        f"Out of reach: no admissible size has the ratio. The largest admissible sizes are {largest}. An "
         "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.", "",
         "Where a share is missed: the saturation that is put in has a fifth power of the torque, the library's "
         "begins with the third. Runs of other torques disagree about its size. An eccentricity and a scale of an "
@@ -247,7 +243,4 @@ EVIDENCE = (
              "what-changed.md", 25, "95 % `no_change`, 80, 90 and 95 % of faults in the answer by ratio",
              (r"untouched sessions (`no_change`) [| ]*(\d+ of \d+)",
               r"fault (in the answer)(?: \| \d+ of \d+){3} \| (\d+ of \d+)")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    write_page(page, __doc__, arguments, minutes=(60.0, "after which no other comparison is begun"))
+main = program(page)

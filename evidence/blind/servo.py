@@ -224,16 +224,21 @@ def is_made(name: str, seed: int, out: Path) -> bool:
     return (out / f"{name}-{seed}.truth.json").exists()
 
 
+def counted(q: np.ndarray) -> np.ndarray:
+    """An angle as the encoder reads it."""
+    step = 2 * np.pi / COUNTS
+    return np.asarray(np.round(q / step) * step)
+
+
 def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: np.random.Generator,
                leg: Leg, rig: str, hidden: Sequence[dict[str, Any]], dry: float) -> None:
     """Runs as sensors with noise log them, a rig file that says nothing but what everybody knows, and the truth."""
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
-    step = 2 * np.pi / COUNTS
     for k, found in enumerate(runs, 1):
         for column, sigma in NOISE.items():
             found[column] = found[column] + sigma * rng.normal(size=found[column].size)
-        found["q2_rad"] = np.round(found["q2_rad"] / step) * step
+        found["q2_rad"] = counted(found["q2_rad"])
         np.savetxt(folder / f"r{k}.csv", np.column_stack([found[c] for c in COLUMNS]), delimiter=",",
                    header=",".join(COLUMNS), comments="", fmt="%.9g")
     (folder / "rig.toml").write_text(
