@@ -60,7 +60,7 @@ test-kernel: $(STAMP)
 
 bench: $(STAMP)
 	$(LOCKED) requirements-bench.lock
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence bench.speed --page
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence bench.speed --out docs/evidence/bench.md
 
 # What `legid diagnose` names, every family of cases from fresh seeds: an hour. FAMILIES="servo geared" takes these alone.
 # FAMILIES=records alone: docs/evidence/real-records.md.
@@ -102,13 +102,10 @@ attacks: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence attacks --out docs/evidence/attacks.md
 
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
-# A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
-# new KILLS_OUT.
-KILLS     ?= 1280
-KILLS_OUT ?= build/kills.jsonl
+# A fifth have ended before their kill.
+KILLS ?= 1280
 kills: $(STAMP)
-	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m evidence kills --kills $(KILLS) --disturbed 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
+	$(BIN)/python -m evidence kills --kills $(KILLS) --out docs/evidence/kills.md
 
 # Files broken in bytes and in structure through every reader, the same time for each format; MINUTES=20 ends it.
 FILES ?= 100000

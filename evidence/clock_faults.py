@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 from daq.errors import InputError
 from daq.runs import read_run
 from daq.timing import decode, recorded_rig
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.reports import list_runs
@@ -62,46 +61,30 @@ def measure(kind: str, which: str, moment: str) -> Cell:
                     found.channels[0].time_s.size / telemetry.size, said, touched)
 
 
-def page(cells: Sequence[Cell]) -> str:
-    """The dated page."""
-    faults = [cell for cell in cells if cell.touched]
-    said = [cell for cell in faults if cell.events and cell.flag and cell.listed]
-    unsaid = [cell for cell in faults if not (cell.events and cell.flag and cell.listed)]
-    none = [cell for cell in cells if not cell.touched]
-    lines = [
-        f"# Faults of the controller's clock, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `make clock-faults`: {len(cells)} recordings of {SECONDS:g} s of the emulated leg with legid's own "
+def page(moments: Sequence[str] = tuple(MOMENTS_S)) -> Lines:
+    cell = kept(measure)
+    cells = [cell(kind, which, moment) for kind in KINDS for which in WHICH for moment in moments]
+    faults = [one for one in cells if one.touched]
+    unsaid = [one for one in faults if not (one.events and one.flag and one.listed)]
+    none = [one for one in cells if not one.touched]
+    yield from [
+        "# Faults of the controller's clock", "",
+        f"{len(cells)} recordings of {SECONDS:g} s of the emulated leg with legid's own "
         "controller on virtual time. From one moment on the ticks of its telemetry, of its answers to clock probes, or "
         "of both are off. The bought drives (moteus, ODrive, Dynamixel) keep no time: the host stamps their samples, "
         "so these faults do not exist there.", "",
-        f"- {len(said)} of {len(faults)} faults are said by all three: an event while recording, a warning of `legid "
-        f"info` and `legid fit`, and `legid runs`; {len(unsaid)} unsaid.",
+        f"- {len(faults) - len(unsaid)} of {len(faults)} faults are said by all three: an event while recording, a "
+        f"warning of `legid info` and `legid fit`, and `legid runs`; {len(unsaid)} unsaid.",
         "- `used`: share of the samples that a fit gets. The others are set aside, with their number in the warning.",
         f"- Unsaid: {'; '.join(map(_name, unsaid)) or 'none'}.",
         f"- No fault: {'; '.join(map(_name, none)) or 'none'}. These freezes lie between two probes, so the recording "
-        "holds no tick that is off, and nothing is to be said.", "",
-        "| fault | ticks of | at | events | runs | used | what the file says |",
-        "| --- | --- | --- | ---: | --- | ---: | --- |"]
-    for c in cells:
-        words = c.flag.removeprefix("the controller's clock failed: ") or "nothing"
-        listed = "yes" if c.listed else "no"
-        found = (c.kind, c.which, c.moment, c.events, listed, f"{c.used:.0%}", words)
-        lines.append(f"| {' | '.join(map(str, found))} |")
-    return "\n".join(lines) + "\n"
+        "holds no tick that is off, and nothing is to be said.", ""]
+    yield from table("fault | ticks of | at | events | runs | used | what the file says", (
+        (c.kind, c.which, c.moment, c.events, "yes" if c.listed else "no", f"{c.used:.0%}",
+         c.flag.removeprefix("the controller's clock failed: ") or "nothing") for c in cells))
+    return len(unsaid)
 
 
 def _name(cell: Cell) -> str:
     return f"{cell.kind} ({cell.which}, {cell.moment})"
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run, print or write; 1 where a fault is unsaid."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--moments", nargs="*", default=list(MOMENTS_S), choices=list(MOMENTS_S))
-    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
-    args = parser.parse_args(arguments)
-    cell = kept(measure)
-    cells = [cell(kind, which, moment) for kind in KINDS for which in WHICH for moment in args.moments]
-    text = page(cells)
-    args.out.write_text(text, encoding="utf-8") if args.out else print(text)
-    return int(any(c.touched and not (c.events and c.flag and c.listed) for c in cells))
+main = program(page)

@@ -1,8 +1,8 @@
 """Plain sine, chirp and designed plan of one length and one set of limits, by refits on the emulated leg.
 
-    python -m evidence excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
+    python -m evidence excitation [--seconds 20] [--seeds 8] [--limits wide tight]
 
-It prints what stands under "Limits" in docs/evidence/excitation.md.
+It writes what stands under "Limits" in docs/evidence/excitation.md.
 
 Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
 model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that
@@ -12,7 +12,6 @@ whole limits.
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
 from collections.abc import Sequence
@@ -26,6 +25,7 @@ from daq.recording.plan import Plan
 from daq.rig import Rig, parse_rig
 from daq.rig_limits import Limits
 from estimator.fitting.fit import fit
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.emulation.emulated_rig import record_emulated
@@ -33,10 +33,7 @@ from experiments.emulation.plant import LegBody
 from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
-from experiments.reports.html import Table
-from experiments.reports.markdown import markdown_table
 from experiments.session import prepare
-from studies.machine import machine
 
 WRONG = 0.2
 MARGIN = 0.8
@@ -129,8 +126,8 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
     return Refits(plan, np.array(std), np.array(error))
 
 
-def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> list[str]:
-    """Markdown of one set of limits."""
+def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> Lines:
+    """Lines on one set of limits."""
     text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
     for key in ("torque_nm", "speed_radps", "q1_rad", "q2_rad"):
         text = re.sub(rf"^{key} = .*$", f"{key} = {getattr(limits, key)}", text, flags=re.MULTILINE)
@@ -138,46 +135,46 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
     body = LegBody()
     truth = np.array(body.beta())
     bench = Bench(prior_model(body), rig, "prior", WRONG)
+    names = bench.mechanism.names
     candidates = plans(bench, seconds)
     found = {kind: refit(c.plan, rig, text, seeds, body) for kind, c in candidates.items()}
     per_minute = 100.0 * np.sqrt(seconds / 60.0) / truth
     stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
     actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
     floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.planned_hz) / truth[-1]
-    angles = f"q1 {limits.q1_rad:g} rad, q2 {limits.q2_rad:g} rad"
-    lines = [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, {angles}", "",
-             _table("Standard error that the refits state, for one minute of experiment, per cent of the value",
-                    stated, bench.mechanism.names), "",
-             _table("Root mean square of the refits' errors about the truth, for one minute of experiment, per cent of "
-                    "the value", actual, bench.mechanism.names), ""]
-    lines += ["| design | against | its worst parameter | of its error, stated and actual | largest against largest "
-              "| geometric mean |", "| --- | --- | --- | --- | --- | --- |"]
-    lines += [_against(kind, usual, stated, actual, bench.mechanism.names) for kind in DESIGNS for usual in CHIRPS]
-    peaks = candidates[USUAL].peaks
-    lines += ["", f"| plan, peaks by the prior | {' | '.join(peaks)} |", "| --- |" + " ---: |" * len(peaks)]
-    lines += [f"| {kind} | {' | '.join(f'{v:.2f}' for v in c.peaks.values())} |" for kind, c in candidates.items()]
+    yield from [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, q1 {limits.q1_rad:g} rad, "
+                f"q2 {limits.q2_rad:g} rad", ""]
+    for caption, rows in (("Standard error that the refits state", stated),
+                          ("Root mean square of the refits' errors about the truth", actual)):
+        yield from [f"{caption}, for one minute of experiment, per cent of the value", ""]
+        yield from table(f" | {' | '.join(names)} | largest", (
+            (kind, *(f"{value:.3f}" for value in (*row, row.max()))) for kind, row in rows.items()))
+    yield from table("design | against | its worst parameter | of its error, stated and actual | largest against "
+                     "largest | geometric mean", (
+        _against(kind, usual, stated, actual, names) for kind in DESIGNS for usual in CHIRPS))
+    yield from table(f"plan, peaks by the prior | {' | '.join(candidates[USUAL].peaks)}", (
+        (kind, *(f"{v:.2f}" for v in c.peaks.values())) for kind, c in candidates.items()))
     off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
-    return [*lines, "",
-            f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
-            f"{np.sqrt(np.mean(off**2)):.2f}.",
-            f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
-            f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}. Machine: "
-            f"{machine()}."]
+    yield from [
+        f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
+        f"{np.sqrt(np.mean(off**2)):.2f}.",
+        f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
+        f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}.", ""]
 
 
 def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray],
              names: Sequence[str]) -> str:
     worst = int(np.argmax(stated[usual]))
     ratio, real = stated[kind] / stated[usual], actual[kind] / actual[usual]
-    return (f"| {kind} | {usual} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
+    return (f"{kind} | {usual} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
             f"| {stated[kind].max() / stated[usual].max():.2f}, {actual[kind].max() / actual[usual].max():.2f} "
-            f"| {np.exp(np.log(ratio).mean()):.2f}, {np.exp(np.log(real).mean()):.2f} |")
+            f"| {np.exp(np.log(ratio).mean()):.2f}, {np.exp(np.log(real).mean()):.2f}")
 
 
-def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
-    body = [[kind, *(f"{value:.3f}" for value in row), f"{row.max():.3f}"] for kind, row in rows.items()]
-    return markdown_table(Table(header=["", *names, "largest"], rows=body, caption=caption,
-                                right=range(1, len(names) + 2)))
+def page(seconds: float = 20.0, seeds: int = 8, limits: Sequence[str] = tuple(LIMITS)) -> Lines:
+    yield from ["# A designed plan against a chirp", ""]
+    for name in limits:
+        yield from section(name, LIMITS[name], seconds, range(1, seeds + 1))
 
 
 EVIDENCE = (
@@ -185,13 +182,4 @@ EVIDENCE = (
              "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
              (r"largest actual error against largest, default design \| \S+ \| \S+",),
              r"noise seeds (\d+ to \d+)"),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--limits", default="wide,tight")
-    args = parser.parse_args(arguments)
-    for name in args.limits.split(","):
-        print("\n".join(section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))), end="\n\n", flush=True)
+main = program(page)

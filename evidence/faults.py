@@ -3,12 +3,9 @@
     python -m evidence faults --out docs/evidence/faults.md        # what `make faults` does
 """
 
-import argparse
 import math
 import re
 import tempfile
-from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +13,7 @@ import numpy as np
 from drivers.mock.plant import JointState
 from drivers.mock.settings import FirmwareSettings
 from evidence.fault_list import FAULTS
+from evidence.frame import Lines, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from tests.support.fault_bench import MOMENTS, PEAK_NM, FaultBench, Outcome
@@ -54,13 +52,20 @@ def turned_rad(after_s: float) -> float:
     return turned
 
 
-def page(cells: dict[tuple[str, str], Outcome]) -> str:
-    """The matrix as a dated page."""
+def page(only: str = "") -> Lines:
+    names = [name for name in FAULTS if only in name]
+    with tempfile.TemporaryDirectory() as folder:
+
+        @kept
+        def cell(name: str, moment: str) -> Outcome:
+            return strike(name, moment, Path(folder))
+
+        cells = {(name, moment): cell(name, moment) for name in names for moment in MOMENTS}
     zero = np.array([cell.zero_ms for cell in cells.values()])
     late = [key for key, cell in cells.items() if cell.zero_ms > TARGET_MS]
-    lines = [
-        f"# Faults while a leg is driven, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `make faults`: {len(cells)} recordings of the emulated leg on virtual time, each with one fault at "
+    yield from [
+        "# Faults while a leg is driven", "",
+        f"{len(cells)} recordings of the emulated leg on virtual time, each with one fault at "
         f"one moment. Torque up to {PEAK_NM:g} N m, a watchdog of 100 ms, default `[limits]`. Time counts from the "
         "fault, or from the first torque if that is later, to the last torque of the drive's current loop. The current "
         "follows within a millisecond.", "",
@@ -71,46 +76,23 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
         "- The run file is looked at every 20 ms on the real clock; here at every message. Disks that hang are another "
         "study: tests/daq/recording/test_disk.py, on the real clock.", ""]
     if late:
-        lines += ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
-                                                    for name, moment in late) + ". A wrong angle "
-                  "sensor shows only after its joint has turned by the band of its check. "
-                  f"{1e3 * SEEN_BY_S:.0f} ms after the first torque the pivot has turned by "
-                  f"{turned_rad(SEEN_BY_S):.4f} rad; one count of its Hall sensor is "
-                  f"{math.tau / FirmwareSettings().hall_counts:.4f} rad.", ""]
-    lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
-              "| --- |" + " ---: |" * len(MOMENTS)]
-    lines += [f"| {name} | " + " | ".join(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS) + " |"
-              for name in FAULTS]
-    lines += ["", "## What was said, and what the file holds, at `driving`", "", "| fault | said | file |",
-              "| --- | --- | --- |"]
-    for name in FAULTS:
-        cell = cells[name, "driving"]
-        said = re.sub(r"\S*/(\w+\.mcap)", r"\1", cell.said)
-        lines.append(f"| {name} | {said} | {cell.kept} |")
-    return "\n".join(lines) + "\n"
+        yield from ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
+                                                      for name, moment in late) + ". A wrong angle "
+                    "sensor shows only after its joint has turned by the band of its check. "
+                    f"{1e3 * SEEN_BY_S:.0f} ms after the first torque the pivot has turned by "
+                    f"{turned_rad(SEEN_BY_S):.4f} rad; one count of its Hall sensor is "
+                    f"{math.tau / FirmwareSettings().hall_counts:.4f} rad.", ""]
+    yield from ["## Time to zero torque [ms]", ""]
+    yield from table(f"fault | {' | '.join(MOMENTS)}", (
+        (name, *(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS)) for name in names))
+    yield from ["## What was said, and what the file holds, at `driving`", ""]
+    yield from table("fault | said | file", (
+        (name, re.sub(r"\S*/(\w+\.mcap)", r"\1", cells[name, "driving"].said), cells[name, "driving"].kept)
+        for name in names))
 
 
 EVIDENCE = (
     Evidence("Every fault at every moment on virtual time: how long the torque outlives it", "make faults",
              "faults.md", 10, f"zero torque within {TARGET_MS:g} ms",
              (r"Median \d+ ms, worst \d+ ms; \d+ of \d+ cells within \d+ ms",)),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", help="faults whose name contains this")
-    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
-    args = parser.parse_args(arguments)
-    cells = {}
-    with tempfile.TemporaryDirectory() as folder:
-
-        @kept
-        def cell(name: str, moment: str) -> Outcome:
-            return strike(name, moment, Path(folder))
-
-        for name in FAULTS:
-            for moment in MOMENTS if not args.only or args.only in name else ():
-                cells[name, moment] = cell(name, moment)
-                print(f"{name}, {moment}: {cells[name, moment]}", flush=True)
-    if args.out:
-        args.out.write_text(page(cells))
+main = program(page)

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from evidence.blind.score import Rate
 from studies.machine import machine
@@ -67,9 +67,9 @@ def program(page: Callable[..., Lines]) -> Callable[[Sequence[str]], int]:
         parser.add_argument("--out", type=Path, help="the page to write, too")
         defaults = {key: one.default for key, one in inspect.signature(page).parameters.items()}
         for key, value in defaults.items():
-            many: dict[str, Any] = {"nargs": "*"} if isinstance(value, tuple) else {}
+            many = isinstance(value, tuple)
             parser.add_argument(f"--{key.replace('_', '-')}", default=value, help=WORDS.get(key),
-                                type=type(value[0] if many else value), **many)
+                                nargs="*" if many else None, type=type((*value, "")[0] if many else value))
         given = vars(parser.parse_args(arguments))
         out: Path | None = given.pop("out")
         told = [f"--{key.replace('_', '-')} {' '.join(map(str, v)) if isinstance(v, tuple | list) else v}"
@@ -93,4 +93,4 @@ def _exhausted(lines: Lines) -> tuple[list[str], int]:
         try:
             found.append(next(lines))
         except StopIteration as end:
-            return found, int(end.value or 0)
+            return found, int(bool(end.value))

@@ -1,8 +1,4 @@
-"""Recordings killed at any moment, and recordings with a second process at their devices and at their file.
-
-    python -m evidence kills --kills 1000 --disturbed 1000 --keep build/kills.jsonl --out docs/evidence/kills.md
-
-Called again with the same file to keep its findings in, it goes on where it stopped.
+"""`make kills`: recordings killed at any moment, and with a second process at their devices and at their file.
 
 `legid record`, with its own drivers over a port and a bus, on emulated rigs in processes of their own. A SIGKILL comes
 at a moment drawn over the whole of a recording; what it leaves must hold every message that had been handed to the
@@ -11,24 +7,18 @@ process must leave the first whole. One of them is a stranger: it takes samples 
 lock, as a script does; that recording must end itself, or every reader flags it. A fault is everything else.
 """
 
-import argparse
 import io
-import json
 import mmap
 import os
 import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stderr, redirect_stdout
-from datetime import date
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +29,11 @@ from daq.rig import load_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import FLUSH_MESSAGES, recover
 from daq.timing.notes import configured
+from evidence.frame import Lines, program, table, tell, within
+from evidence.kept import kept
 from evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch
 from evidence.registry import Evidence
 from experiments.cli import main as legid
-from tests.support.paths import ROOT
 from tests.support.processes import favoured
 from tests.support.recordings import sine
 from tests.support.runs import load_run
@@ -202,63 +193,9 @@ def _disturbed(path: Path, status: int | None, said: str) -> str:
     return "" if sound else f"status {status}, complete {raw.complete}, damage {raw.damage}, IMU {rate:.0f} Hz"
 
 
-def page(kills: Sequence[Killed], disturbed: Sequence[Killed], seconds: float) -> str:
-    """What was found, as docs/evidence/kills.md has it."""
-    lost = [k.lost for k in kills if k.outcome.startswith("cut off")]
-    rows = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in kills).items(), key=lambda x: -x[1])]
-    rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in disturbed).items())]
-    faults = [k.fault for k in (*kills, *disturbed) if k.fault]
-    killed = sum(not k.outcome.startswith("ended") for k in kills)
-    return "\n".join([
-        f"# Recordings killed, and a second process at their devices, {date.today()}", "",
-        f"By `make kills`, {len(kills)} and {len(disturbed)} recordings in {seconds / 60.0:.0f} minutes: `legid "
-        "record` on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
-        "## SIGKILL at any moment of a recording", "", "| found afterwards | times |", "| --- | ---: |", *rows,
-        f"| faults | {sum(bool(k.fault) for k in kills)} |", "",
-        f"{killed} were killed while they ran. A file that was cut off holds every message that reached the system, "
-        "reports its missing end, and recovers to a whole file. The recorder lost "
-        f"{np.median(lost or [0]):.0f} messages in the median, {max(lost or [0])} at most; it hands them over every "
-        f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
-        "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
-        "## A second process at the same devices, or at the file that is written", "",
-        "| | times |", "| --- | ---: |", *rows2, f"| faults | {sum(bool(k.fault) for k in disturbed)} |", "",
-        "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
-        "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
-        "every reader of the run reports that.",
-        *(["", "## Faults", "", *(f"- {fault}" for fault in faults)] if faults else [])]) + "\n"
-
-
-def study(one: Callable[[Path, Path, int, int], Killed], rig: Path, numbers: Sequence[int], seed: int, minutes: float,
-          kept: Path) -> None:
-    """Those numbers that are not in `kept` yet, one after the other on one rig, in a process without threads, which do
-    not go together with forks; each is kept as it comes."""
-    enough = time.monotonic() + 60.0 * minutes
-    done = {line["number"] for line in read(kept, one.__name__, seed)}
-    for number in numbers:
-        began = time.monotonic()
-        if number in done:
-            continue
-        if began > enough:
-            break
-        found = one(rig, rig.parent, number, seed)
-        line = {"study": one.__name__, "seed": seed, "number": number, "seconds": time.monotonic() - began}
-        with kept.open("a") as lines:
-            lines.write(json.dumps(line | found._asdict()) + "\n")
-        if found.fault:
-            print(f"{one.__name__} {number}: {found.fault}", file=sys.stderr, flush=True)
-        for file in rig.parent.glob(f"{one.__name__}-{number}.*") if not found.fault else ():
-            file.unlink()
-
-
-def read(kept: Path, name: str, seed: int) -> list[dict[str, Any]]:
-    """What is kept of this study with this seed."""
-    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    return [line for line in lines if (line["study"], line["seed"]) == (name, seed)]
-
-
-def lane(index: int, lanes: int, kills: int, disturbed: int, seed: int, minutes: float, kept: Path,
-         folder: Path) -> None:
-    """The share of one rig."""
+@contextmanager
+def ready(folder: Path) -> Iterator[Path]:
+    """The rig file of an emulated rig with patient limits, next to a plan; a first recording has been made."""
     with favoured(), served_rig(folder) as rig:
         text = re.sub(r"^(staleness_s|clock_bound_s) = .*\n", "", rig.read_text(), flags=re.MULTILINE)
         rig.write_text(text.replace("[limits]\n", PATIENT).replace("watchdog_ms = 500", "watchdog_ms = 1000"))
@@ -266,42 +203,52 @@ def lane(index: int, lanes: int, kills: int, disturbed: int, seed: int, minutes:
         first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
         with redirect_stdout(io.StringIO()):
             legid(["record", *first])  # loads once what every fork would load
-        for one, count, share in ((kill_one, kills, 0.5), (disturb_one, disturbed, 0.5)):
-            study(one, rig, range(index, count, lanes), seed, share * minutes, kept)
+        yield rig
+
+
+def page(kills: int = 1000, disturbed: int = 1000, minutes: float = 240.0, seed: int = 1) -> Lines:
+    with tempfile.TemporaryDirectory() as place, ready(Path(place)) as rig:
+
+        @kept
+        def one(name: str, number: int, seed: int) -> Killed:
+            found = {"kill_one": kill_one, "disturb_one": disturb_one}[name](rig, rig.parent, number, seed)
+            for file in rig.parent.glob(f"{name}-{number}.*") if not found.fault else ():
+                file.unlink()
+            tell(name, number, found)
+            return found
+
+        killed, others = ([one(name, number, seed) for number in within(0.5 * minutes, range(count))]
+                          for name, count in (("kill_one", kills), ("disturb_one", disturbed)))
+    lost = [k.lost for k in killed if k.outcome.startswith("cut off")] or [0]
+    faults = [k.fault for k in (*killed, *others) if k.fault]
+    yield from [
+        "# Recordings killed, and a second process at their devices", "",
+        f"{len(killed)} and {len(others)} recordings: `legid record` on an emulated rig in a process of its own, over "
+        "a port and a bus, in real time.", "", "## SIGKILL at any moment of a recording", ""]
+    yield from table("found afterwards | times", _counts(killed))
+    yield from [
+        f"{sum(not k.outcome.startswith('ended') for k in killed)} were killed while they ran. A file that was cut off "
+        "holds every message that reached the system, "
+        "reports its missing end, and recovers to a whole file. The recorder lost "
+        f"{np.median(lost):.0f} messages in the median, {max(lost)} at most; it hands them over every "
+        f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
+        "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
+        "## A second process at the same devices, or at the file that is written", ""]
+    yield from table(" | times", _counts(others))
+    yield from [
+        "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
+        "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
+        "every reader of the run reports that.", "", *(f"- {fault}" for fault in faults)]
+    return len(faults)
+
+
+def _counts(found: Sequence[Killed]) -> list[tuple[str, int]]:
+    """Outcomes, the most frequent first, and faults."""
+    return [*Counter(k.outcome for k in found).most_common(), ("faults", sum(bool(k.fault) for k in found))]
 
 
 EVIDENCE = (
     Evidence("Recordings killed at any moment, and a second process at their devices", "make kills", "kills.md", 90,
              "no fault", (r"\d+ were killed while they ran", r"\| (faults) \| (\d+)",
                           r"lost \d+ messages in the median, \d+ at most")),)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--disturbed", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rigs", type=int, default=1, help="at a time; each needs a core of its own")
-    parser.add_argument("--minutes", type=float, default=240.0, help="after which no further recording is started")
-    parser.add_argument("--keep", type=Path, help="what was found, a line each; what is there is not done again")
-    parser.add_argument("--lane", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args(arguments)
-    if args.lane is not None:
-        lane(args.lane, args.rigs, args.kills, args.disturbed, args.seed, args.minutes, args.keep, args.folder)
-        return 0
-    with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(args.rigs) as pool:
-        kept = (args.keep or Path(place) / "found.jsonl").absolute()
-        numbers = ["--kills", str(args.kills), "--disturbed", str(args.disturbed), "--seed", str(args.seed), "--rigs",
-                   str(args.rigs), "--minutes", str(args.minutes), "--keep", str(kept)]
-        list(pool.map(lambda k: subprocess.run(
-            [sys.executable, "-m", "evidence", "kills", *numbers, "--lane", str(k), "--folder", f"{place}/{k}"],
-            check=True, cwd=ROOT), range(args.rigs)))
-        lines = [read(kept, name, args.seed) for name in ("kill_one", "disturb_one")]
-    kills, disturbed = ([Killed(line["outcome"], line["lost"], line["fault"]) for line in part] for part in lines)
-    text = page(kills, disturbed, sum(line["seconds"] for part in lines for line in part))
-    print(text)
-    if args.out is not None:
-        args.out.write_text(text)
-    return int(any(k.fault for k in (*kills, *disturbed)))
+main = program(page)

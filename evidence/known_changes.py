@@ -6,24 +6,19 @@ files are taken from the commit that the page names.
 
 from __future__ import annotations
 
-import argparse
 import json
-import shlex
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evidence.emulated_legs import label
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
-from evidence.machines import answer
+from evidence.machines import answer, clones, shown, typed
 from evidence.registry import Evidence
-from studies import machine
-from tests.support.paths import ROOT
 
 REPOSITORY, COMMIT = "dfki-ric-underactuated-lab/double_pendulum", "1e8544e67f3da72a51ee52fbbb278e131ce2a43f"
 RECORDS = "data/experiment_records"
@@ -111,48 +106,41 @@ def compared(pair: Pair, snapshot: Path) -> Said:
         for session in (a, b):
             (folder / session).mkdir()
             for k, path in enumerate(SESSIONS[session]):
-                (folder / session / f"{k:02d}.csv").write_bytes(subprocess.run(
-                    ["git", "-C", str(snapshot), "show", f"{COMMIT}:{path}"], check=True, capture_output=True).stdout)
+                (folder / session / f"{k:02d}.csv").write_bytes(shown(snapshot, COMMIT, path))
         for command in (f"legid import {a}/*.csv --out runs{a} --map columns.toml",
                         f"legid import {b}/*.csv --out runs{b} --map columns.toml",
                         f"legid compare runs{a} runs{b} --rig rig.toml --json compare.json"):
-            words = [file for word in shlex.split(command)[1:] for file in (
-                sorted(str(one.relative_to(folder)) for one in folder.glob(word)) if "*" in word else [word])]
             began = time.monotonic()
-            done = subprocess.run([sys.executable, "-m", "experiments.cli", *words], cwd=folder, capture_output=True,
-                                  text=True, env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"})
+            done = typed(command, folder)
             rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            print(*rows[-1], sep=" | ", flush=True)
+            tell(*rows[-1])
         out = folder / "compare.json"
         return Said(rows, json.loads(out.read_bytes())["pairs"][0] if out.exists() else {})
 
 
-def page(snapshots: Path) -> Iterator[str]:
-    """The page, line by line."""
+def page(snapshots: str = "") -> Lines:
+    (place,) = clones(snapshots, [REPOSITORY])
     yield from [
         "# Known changes of a public machine", "",
-        f"Made by `python -m evidence known-changes` on {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         f"[{REPOSITORY}](https://github.com/{REPOSITORY}), commit `{COMMIT[:10]}`, licence: BSD-3-Clause. A double "
         "pendulum with two motors and encoders was recorded in three designs. The files `model_parameters.yml` below "
         "`data/system_identification/identified_parameters` say what differs. The records are no part of the project.",
         "", "The rig file, and the map by hand:", "", "```toml", RIG.rstrip(), "```", "", "```toml", COLUMNS.rstrip(),
         "```", ""]
     for number, pair in enumerate(PAIRS, 1):
-        said = compared(pair, snapshots / REPOSITORY.split("/")[1])
+        said = compared(pair, place)
         yield from [f"## {number}. {pair.title}", "", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}",
-                    "", "| command | s | exit | answer |", "| --- | --- | --- | --- |"]
-        for command, seconds, status, line in said.rows:
-            yield f"| `{command}` | {seconds:.0f} | {status} | {line.replace('|', '/')} |"
-        yield from ["", "| cause | size | value | 95 % interval |", "| --- | --- | ---: | --- |"]
-        for cause in said.document.get("causes", ()):
-            for size in cause["size"]:
-                where = "" if cause["joint"] is None else f"@{cause['joint']}"
-                yield (f"| {cause['effect']}{where} | {size['name']} [{size['unit']}] | {size['value']:.3g} | "
-                       f"{size['ci95'][0]:.3g} to {size['ci95'][1]:.3g} |")
-        yield from ["", "| published | before | after | change |", "| --- | ---: | ---: | ---: |"]
-        for name, (before, after) in pair.published.items():
-            yield f"| {name} | {before:.3g} | {after:.3g} | {after - before:+.3g} |"
-        yield from ["", *(f"- {remark}" for remark in pair.remarks), ""]
+                    ""]
+        yield from table("command | s | exit | answer", (
+            (f"`{command}`", f"{seconds:.0f}", status, line) for command, seconds, status, line in said.rows))
+        yield from table("cause | size | value | 95 % interval", (
+            f"{label(cause['effect'], cause['joint'])} | {size['name']} [{size['unit']}] | {size['value']:.3g} | "
+            f"{size['ci95'][0]:.3g} to {size['ci95'][1]:.3g}"
+            for cause in said.document.get("causes", ()) for size in cause["size"]))
+        yield from table("published | before | after | change", (
+            f"{name} | {before:.3g} | {after:.3g} | {after - before:+.3g}"
+            for name, (before, after) in pair.published.items()))
+        yield from [*(f"- {remark}" for remark in pair.remarks), ""]
 
 
 def verdicts(text: str) -> str:
@@ -164,13 +152,4 @@ def verdicts(text: str) -> str:
 EVIDENCE = (
     Evidence("Public records of a machine whose links were changed, and of one built anew",
              "python -m evidence known-changes", "known-changes.md", 4, "the change is named", verdicts),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--snapshots", type=Path, required=True, help="a folder with a clone of the repository")
-    parser.add_argument("--out", type=Path, required=True)
-    words = parser.parse_args(arguments)
-    if not (words.snapshots / REPOSITORY.split("/")[1]).is_dir():
-        raise SystemExit(f"{words.snapshots} lacks {REPOSITORY}: git clone https://github.com/{REPOSITORY}")
-    words.out.write_text("\n".join(page(words.snapshots)))
+main = program(page)

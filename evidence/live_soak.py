@@ -3,18 +3,15 @@
     python -m evidence live-soak --minutes 30 --out docs/evidence/live.md
 """
 
-import argparse
 import multiprocessing
 import os
-import platform
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +22,7 @@ import psutil
 from daq.recording.plan import Plan, write_plan
 from daq.runs.mcap_run import read_run
 from drivers.mock.rig import STEP_NS
+from evidence.frame import Lines, program, table
 from evidence.registry import Evidence
 from experiments.emulation.served_rig import ServedRig
 from experiments.excite.multisine import random_multisine
@@ -171,23 +169,27 @@ def write_plans(folder: Path, minutes: float) -> None:
                    folder / name / f"{name}.csv")
 
 
-def page(args: argparse.Namespace, folder: Path) -> str:
-    """The whole study, as a page of figures."""
+def page(minutes: float = 30.0, presses: int = 24, seed: int = 1) -> Lines:
+    with tempfile.TemporaryDirectory(prefix="legid-soak-") as name:
+        yield from _measured(Path(name), minutes, presses, seed)
+
+
+def _measured(folder: Path, minutes: float, count: int, seed: int) -> Iterator[str]:
     here, there = multiprocessing.get_context("spawn").Pipe()
     rig = multiprocessing.get_context("spawn").Process(target=serve, args=(folder / "rig", there))
     rig.start()
     rig_path = Path(here.recv())
-    write_plans(folder, args.minutes)
+    write_plans(folder, minutes)
     try:
         with served(rig_path, folder, "press") as live, open_page(live) as browser:
-            rng = np.random.default_rng(args.seed)
-            presses = [press_once(browser, here, rng, k % 4 == 3) for k in range(args.presses)]
+            rng = np.random.default_rng(seed)
+            presses = [press_once(browser, here, rng, k % 4 == 3) for k in range(count)]
             outgoing, complaints, asked = browser.outgoing(), browser.complaints(), len(browser.requests)
         subprocess.run([sys.executable, "-m", "experiments.cli", "record", "--rig", rig_path, "--plan",
                         folder / "alone" / "alone.csv", "--out", folder / "alone.mcap"], cwd=ROOT, check=True,
                        stdout=subprocess.DEVNULL)
         with served(rig_path, folder, "soak") as live, open_page(live, network=False) as browser:
-            looks, share, shows = stream(browser, live, args.minutes * 60.0)
+            looks, share, shows = stream(browser, live, minutes * 60.0)
             drops = browser.text("drops")
             complaints += browser.complaints()
     finally:
@@ -196,12 +198,8 @@ def page(args: argparse.Namespace, folder: Path) -> str:
     took = np.array([press.latency_ms for press in presses])
     keys = sum(press.way == "Esc" for press in presses)
     loads = [one.load for one in looks]
-    lines = [
-        f"# The dashboard over {args.minutes:g} minutes, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `python -m evidence live-soak --minutes {args.minutes:g} --presses {args.presses}`, seed "
-        f"{args.seed}, on {platform.machine()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}, "
-        "Python "
-        f"{platform.python_version()}. The machine was shared: the load average was "
+    yield from [
+        f"# The dashboard over {minutes:g} minutes", "", "The machine was shared: the load average was "
         f"{np.mean(loads):.1f} on average and {max(loads):.1f} at most while the page streamed. Rig, "
         "recorder, dashboard and browser (Chromium, headless) are a process each. The rig is that of "
         "`legid emulate`: an LSM9DS1 at 476 Hz, a controller at 500 Hz.", "",
@@ -213,17 +211,16 @@ def page(args: argparse.Namespace, folder: Path) -> str:
         f"The network meanwhile: {asked} requests, of which to another machine: {len(outgoing)}. Errors and warnings "
         f"on the console, here and while it streamed: {len(complaints)}.",
         *[f"- {line}" for line in [*sorted(set(outgoing)), *complaints][:20]], "",
-        f"## {args.minutes:g} minutes of streaming", "",
+        f"## {minutes:g} minutes of streaming", "",
         f"Memory in MiB, from {WARM_UP_S:g} s on, looked at every {LOOK_EVERY_S:g} s.", "",
-        "| | first minute | last minute | largest | slope per minute |", "| --- | --- | --- | --- | --- |",
-        f"| the page's process (resident) | {growth(looks, 'server_mib')} |",
-        f"| the browser's renderer (resident) | {growth(looks, 'renderer_mib')} |",
-        f"| its JavaScript heap | {growth(looks, 'heap_mib')} |", "",
+        *table(" | first minute | last minute | largest | slope per minute", (f"{what} | {growth(looks, field)}"
+               for what, field in (("the page's process (resident)", "server_mib"),
+                                   ("the browser's renderer (resident)", "renderer_mib"),
+                                   ("its JavaScript heap", "heap_mib")))),
         f"The page was refreshed {shows:.2f} times a second; the page's process took {share:.1%} of one core.", "",
         f"The recorder: {recorded(next((folder / 'soak-out').glob('*.mcap')))}. The page said: {drops}.", "",
         f"The same recorder for {ALONE_S:g} s just before, with no dashboard: {recorded(folder / 'alone.mcap')} "
         f"(of {ALONE_S * 100:.0f} in the plan)."]
-    return "\n".join(lines) + "\n"
 
 
 EVIDENCE = (
@@ -231,17 +228,4 @@ EVIDENCE = (
              "every stop within 100 ms, no telemetry lost",
              (r"Median \d+ ms, worst \d+ ms; over 100 ms: \d+", r"telemetry frames, \d+ lost"),
              resumes="no: a soak is one recording"),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--presses", type=int, default=24)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
-    args = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="legid-soak-") as name:
-        text = page(args, Path(name))
-    print(text)
-    if args.out:
-        args.out.write_text(text)
+main = program(page)

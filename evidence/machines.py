@@ -6,7 +6,6 @@ name; files are taken from the commit that the page names.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shlex
@@ -14,15 +13,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 
+from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.machine_records import MACHINES, Machine
 from evidence.registry import Evidence
-from studies import machine
 from tests.support.paths import ROOT
 
 LONGEST = 170
@@ -59,8 +57,10 @@ class FreeRun:
 
 def typed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """The command, with all its processes stopped after `LIMIT_S`."""
-    done = subprocess.run(["/usr/bin/timeout", str(LIMIT_S), sys.executable, "-m", "experiments.cli",
-                           *shlex.split(command)[1:]], cwd=folder, capture_output=True, text=True,
+    words = [file for word in shlex.split(command)[1:] for file in (
+        sorted(str(one.relative_to(folder)) for one in folder.glob(word)) if "*" in word else [word])]
+    done = subprocess.run(["/usr/bin/timeout", str(LIMIT_S), sys.executable, "-m", "experiments.cli", *words],
+                          cwd=folder, capture_output=True, text=True,
                           env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"})
     if done.returncode == STOPPED:
         done.stderr += f"legid gave no answer in {LIMIT_S} s\n"
@@ -73,8 +73,13 @@ def unpack(one: Machine, snapshot: Path, folder: Path) -> None:
     if one.columns:
         (folder / "columns.toml").write_text(one.columns)
     for name, path in one.files.items():
-        (folder / name).write_bytes(subprocess.run(["git", "-C", str(snapshot), "show", f"{one.commit}:{path}"],
-                                                   check=True, capture_output=True).stdout)
+        (folder / name).write_bytes(shown(snapshot, one.commit, path))
+
+
+def shown(snapshot: Path, commit: str, path: str) -> bytes:
+    """A file of a commit."""
+    return subprocess.run(["git", "-C", str(snapshot), "show", f"{commit}:{path}"], check=True,
+                          capture_output=True).stdout
 
 
 @kept
@@ -88,7 +93,7 @@ def session(one: Machine, snapshot: Path) -> Session:
             began = time.monotonic()
             done = typed(command, folder)
             out.rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            print(*out.rows[-1], sep=" | ", flush=True)
+            tell(*out.rows[-1])
         if (folder / "fit.json").exists():
             fit = json.loads((folder / "fit.json").read_bytes())
             out.verdict = fit["trust"]["sentence"]
@@ -110,7 +115,7 @@ def free_runs(one: Machine, snapshot: Path) -> list[FreeRun]:
         for run in one.runs:
             others = " ".join(other for other in one.runs if other != run)
             out.append(left_out(one, folder, run, others))
-            print(out[-1], flush=True)
+            tell(out[-1])
     return out
 
 
@@ -148,42 +153,47 @@ def answer(command: str, done: subprocess.CompletedProcess[str]) -> str:
     return line if len(line) <= LONGEST else line[:LONGEST].rsplit(" ", 1)[0] + " ..."
 
 
-def page(snapshots: Path) -> Iterator[str]:
-    """The page, line by line."""
-    places = [snapshots / one.repository.split("/")[1] for one in MACHINES]
+def clones(snapshots: str, repositories: Iterable[str]) -> list[Path]:
+    """Where the repositories are. Raises SystemExit where one is not."""
+    places = [Path(snapshots) / one.split("/")[1] for one in repositories]
+    for one, place in zip(repositories, places):
+        if not snapshots or not place.is_dir():
+            raise SystemExit(f"{place} is not there: give --snapshots FOLDER, and git clone https://github.com/{one}")
+    return places
+
+
+def page(snapshots: str = "") -> Lines:
+    places = clones(snapshots, [one.repository for one in MACHINES])
     found = [session(one, place) for one, place in zip(MACHINES, places)]
     free = [free_runs(one, place) for one, place in zip(MACHINES, places)]
     longest = max(sum(row[1] for row in many.rows) for many in found)
     yield from [
         "# Ten machines that we did not build", "",
-        f"Made by `python -m evidence machines` on {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         "Public records, from their authors' files to a diagnosis, by at most five commands each. The longest session "
         f"takes {longest / 60:.1f} minutes.",
         "Each row has a command, its seconds and exit status, and the first line of its answer. The records are no "
         "part of the project.",
         "Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.", "",
         "The last table of each machine has rms errors of simulations over 1 s. No run helps to identify the "
-        "parameters that simulate it. Values that nobody published are equal on both sides.", "",
-        "| machine | repository | commit | licence |", "| --- | --- | --- | --- |",
-        *(f"| {number}. {one.title} | [{one.repository}](https://github.com/{one.repository}) | `{one.commit[:10]}` | "
-          f"{one.licence} |" for number, one in enumerate(MACHINES, 1)), ""]
+        "parameters that simulate it. Values that nobody published are equal on both sides.", ""]
+    yield from table("machine | repository | commit | licence", (
+        f"{number}. {one.title} | [{one.repository}](https://github.com/{one.repository}) | `{one.commit[:10]}` | "
+        f"{one.licence}" for number, one in enumerate(MACHINES, 1)))
     for number, (one, many, runs) in enumerate(zip(MACHINES, found, free), 1):
         yield from [f"## {number}. {one.title}", "", "```toml", one.rig.rstrip()]
         if one.columns:
             yield from ["", "# columns.toml, by hand", one.columns.rstrip()]
-        yield from ["```", "", "| command | s | exit | answer |", "| --- | --- | --- | --- |"]
-        for command, seconds, status, said in many.rows:
-            yield f"| `{command}` | {seconds:.0f} | {status} | {said.replace('|', '/')} |"
-        yield from ["", f"| parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
-                        "widths | within 6 % or not trusted |", "| --- | --- | --- | --- | --- | --- |"]
-        for name, value in one.published.items():
-            yield compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
-        yield from ["", "| run | error by the other runs' parameters | by published parameters | less in total |",
-                    "| --- | --- | --- | --- |"]
-        for run in runs:
-            yield (f"| {run.run} | {run.message.replace('|', '/')} | | |" if run.message else
-                   f"| {run.run} | {each(run.ours)} | {each(run.published)} | {'yes' if run.below else 'no'} |")
-        yield from ["", *(f"- {remark}" for remark in one.remarks), ""]
+        yield from ["```", ""]
+        yield from table("command | s | exit | answer", (
+            (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in many.rows))
+        yield from table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
+                         "widths | within 6 % or not trusted", (
+            compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
+            for name, value in one.published.items()))
+        yield from table("run | error by the other runs' parameters | by published parameters | less in total", (
+            (run.run, run.message, "", "") if run.message else
+            (run.run, each(run.ours), each(run.published), "yes" if run.below else "no") for run in runs))
+        yield from [*(f"- {remark}" for remark in one.remarks), ""]
 
 
 def each(errors: Sequence[float]) -> str:
@@ -194,13 +204,13 @@ def each(errors: Sequence[float]) -> str:
 def compared(name: str, found: tuple[float, float, float] | None, published: float, flagged: bool) -> str:
     """A row of the table of parameters."""
     if found is None:
-        return f"| {name} | not determined | {published:.4g} | | no | yes |"
+        return f"{name} | not determined | {published:.4g} | | no | yes"
     value, low, high = found
     shown = f"{value:.4g} ({low:.4g} to {high:.4g})" if high > low else f"{value:.4g}, at its bound"
     ratio = value / published
     marks = [f"{ratio:.2f}", "yes" if abs(value - published) <= 1.5 * (high - low) else "no",
              "yes" if flagged or abs(ratio - 1.0) <= 0.06 else "no"]
-    return f"| {name} | {shown} | {published:.4g} | {' | '.join(marks)} |"
+    return f"{name} | {shown} | {published:.4g} | {' | '.join(marks)}"
 
 
 def result(text: str) -> str:
@@ -219,14 +229,4 @@ EVIDENCE = (
     Evidence("Public records of ten machines, from their authors' files to a diagnosis",
              "python -m evidence machines", "machines.md", 20,
              "at most five commands and ten minutes each; each value within 6 % or not trusted", result),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--snapshots", type=Path, required=True, help="a folder with a clone of each repository")
-    parser.add_argument("--out", type=Path, required=True)
-    words = parser.parse_args(arguments)
-    for one in MACHINES:
-        if not (words.snapshots / one.repository.split("/")[1]).is_dir():
-            raise SystemExit(f"{words.snapshots} lacks {one.repository}: git clone https://github.com/{one.repository}")
-    words.out.write_text("\n".join(page(words.snapshots)))
+main = program(page)

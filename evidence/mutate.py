@@ -8,14 +8,11 @@ file comes from the seed and its number alone: `--only mcap --first 4711 --files
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import re
 import resource
-import sys
 import tempfile
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -31,6 +28,7 @@ from daq.rig import load_rig, parse_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import RunWriter, recover
 from daq.runs.mcap_scan import Scan
+from evidence.frame import Lines, program, table, tell, within
 from evidence.kept import kept
 from evidence.mutate_foreign import Make, foreign
 from evidence.mutate_worker import Fault, Kind, study, used_s
@@ -180,70 +178,45 @@ EVIDENCE = (
              r"seed 3 on (\d{4}-\d\d-\d\d)"),)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--files", type=int, default=100_000, help="of each format")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=math.inf, help="end after so long, between chunks")
-    parser.add_argument("--chunk", type=int, default=CHUNK, help="files of a format before the next one's turn")
-    parser.add_argument("--only", action="append", default=[])
-    args = parser.parse_args(arguments)
+def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = math.inf, chunk: int = CHUNK,
+         only: Sequence[str] = ()) -> Lines:
+    """`files` of each format in turns of a `chunk`, each format for the same time."""
     with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as place:
         kinds = formats(Path(place))
 
         @kept
-        def chunk(name: str, first: int, files: int, seed: int) -> tuple[Counter[str], list[Fault], float]:
+        def some(name: str, first: int, files: int, seed: int) -> tuple[Counter[str], list[Fault], float]:
             began = used_s()
             kind = Kind(name, Path(place) / f"broken{kinds[name].ending}",
                         lambda number, path: put(kinds[name], seed, number, path), kinds[name].read)
             found = study(kind, first, files)
             return *found, used_s() - began
 
-        names = [name for name in kinds if not args.only or name in args.only]
-        done = {name: Done(Counter(), [], 0.0) for name in names}
-        began, last = time.monotonic(), args.first + args.files
-        while time.monotonic() - began < 60.0 * args.minutes:
-            left = [name for name in names if args.first + done[name].counts["files"] < last]
-            if not left:
-                break
-            name = min(left, key=lambda name: done[name].took_s)  # each format gets the same time
-            first = args.first + done[name].counts["files"]
-            files = min(args.chunk, last - first)
-            counts, faults, took_s = chunk(name, first, files, args.seed)
-            done[name] = done[name].with_chunk(counts + Counter(files=files), faults, took_s)
-            for fault in faults:
-                print(f"{fault.format} {fault.number}: {fault.what}", file=sys.stderr, flush=True)
-    print(table(done))
-    return int(any(one.faults for one in done.values()))
+        counts = {name: Counter[str]() for name in only or kinds}
+        faults, took_s = {name: list[Fault]() for name in counts}, dict.fromkeys(counts, 0.0)
+        turns = iter(lambda: min((name for name in counts if counts[name]["files"] < files), key=took_s.__getitem__,
+                                 default=""), "")
+        for name in within(minutes, turns):
+            done = counts[name]["files"]
+            size = min(chunk, files - done)
+            more, bad, used = some(name, first + done, size, seed)
+            worst = max(counts[name]["worst_ms"], more["worst_ms"])
+            counts[name] += more + Counter(files=size)
+            counts[name]["worst_ms"] = worst
+            faults[name] += bad
+            took_s[name] += used
+            tell(name, done + size, *bad)
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    every = sum(map(len, faults.values()))
+    yield from ["# Broken files through every reader", ""]
+    yield from table("format | files | read | refused | stopped | faults | slowest | files a second", (
+        (NAMES.get(name, name), *(f"{one[key]:,}" for key in ("files", "read", "refused", "stopped")),
+         len(faults[name]), f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms",
+         f"{one['files'] / max(took_s[name], 1e-9):.0f}") for name, one in counts.items()))
+    yield (f"These {sum(one['files'] for one in counts.values()):,} files have {every} faults. They took "
+           f"{sum(took_s.values()) / 60:.0f} minutes of a processor, and at most {peak:.0f} MB in a process that "
+           "reads.")
+    return every
 
 
-class Done(NamedTuple):
-    """What became of a format's files."""
-
-    counts: Counter[str]
-    faults: list[Fault]
-    took_s: float
-
-    def with_chunk(self, counts: Counter[str], faults: list[Fault], took_s: float) -> Done:
-        """With more of them."""
-        worst = max(self.counts["worst_ms"], counts["worst_ms"])
-        both = self.counts + counts
-        both["worst_ms"] = worst
-        return Done(both, self.faults + faults, self.took_s + took_s)
-
-
-def table(done: dict[str, Done]) -> str:
-    """For the page."""
-    lines = ["| format | files | read | refused | stopped | faults | slowest | files a second |",
-             "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
-    for name, (counts, found, took_s) in done.items():
-        cells = [f"{counts[key]:,}" for key in ("files", "read", "refused", "stopped")]
-        slow = f"{counts['worst_ms'] / 1e3:.1f} s" if counts["worst_ms"] > 999 else f"{counts['worst_ms']} ms"
-        cells += [str(len(found)), slow, f"{counts['files'] / max(took_s, 1e-9):.0f}"]
-        lines.append(f"| {' | '.join((NAMES.get(name, name), *cells))} |")
-    peaks = [resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    files, faults = sum(one.counts["files"] for one in done.values()), sum(len(one.faults) for one in done.values())
-    return "\n".join([*lines, "", f"These {files:,} files have {faults} faults. They took "
-                      f"{sum(one.took_s for one in done.values()) / 60:.0f} minutes of a processor, and at most "
-                      f"{peaks[1]:.0f} MB in a process that reads."])
+main = program(page)

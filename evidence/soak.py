@@ -3,16 +3,12 @@
     python -m evidence soak --out docs/evidence/soak.md        # what `make soak` does
 """
 
-import argparse
 import mmap
 import os
-import platform
 import signal
 import struct
 import tempfile
 import time
-from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +17,7 @@ import numpy as np
 from daq.recording.workers import QueuedSink
 from daq.runs.mcap_run import FLUSH_MESSAGES, read_run, recover
 from evidence import clock_laws, fuzz_codecs
+from evidence.frame import Lines, program
 from evidence.registry import Evidence
 from evidence.rigs import losses, record_real, record_virtual
 from tests.support.c_firmware import Served
@@ -125,41 +122,22 @@ def kill_many(folder: Path, count: int, seed: int) -> list[Killed]:
     return out
 
 
-def page(args: argparse.Namespace) -> str:
-    """All studies, as a dated page of figures."""
-    lines = [f"# Soak, fuzz and clock studies, {datetime.now(UTC):%Y-%m-%d}", "",
-             f"By `make soak`, seed {args.seed}, on {platform.machine()}, {os.cpu_count()} cores (shared with other "
-             f"work), {platform.system()} {platform.release()}, Python {platform.python_version()}. The devices are "
-             "emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz.", ""]
+def page(virtual: float = 600.0, real: float = 60.0, kills: int = 200, frames: int = 1_000_000, runs: int = 1000,
+         seed: int = 1) -> Lines:
+    yield from ["# Soak, fuzz and clock studies", "",
+                "The devices are emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz.", ""]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found = soak_virtual(folder, args.virtual)
-        lines += [f"## {args.virtual:g} s on virtual time", "", _losses(found), ""]
-        found, share = soak_real(folder, args.real)
-        lines += [f"## {args.real:g} s on the real clock", "",
-                  _losses(found), "", f"The recording process took {share:.1%} of one core (the controller is another "
-                  "process, the chip's bus is in memory).", ""]
-        kills = kill_many(folder, args.kills, args.seed)
-    lines += [f"## {len(kills)} SIGKILLs at random times of a recording", "", _kills(kills), ""]
-    lines += ["## Fuzz of the codecs", "",
-              "Serial frames that are broken must pass a 16-bit check sum to be taken. On CAN the bus itself checks; "
-              "what is wrong there is noise put in behind that check, with an identifier and length that a message "
-              "has.", "",
-              f"- serial: {fuzz_codecs.fuzz_serial(args.frames, args.seed)}",
-              f"- CAN: {fuzz_codecs.fuzz_can(args.frames, args.seed)}", ""]
-    lines += ["## The controller's clock under simulated delay laws", "",
-              "300 s, pings at 4 Hz, 1 % stalls up to 20 ms each way, oscillators 40 to 200 ppm off, drifting and "
-              "warming up. A fifth as many runs have a reboot in the middle. The laws are assumptions "
-              "(`evidence/clock_laws.py`).", "",
-              "| law | worst error [us] | median of runs' worst [us] | median bound [us] | outside the bound |",
-              "| --- | --- | --- | --- | --- |"]
-    for law, whole, broken in clock_laws.study(args.runs, args.seed):
-        worst = np.array([run.worst_s for run in whole]) * 1e6
-        out = sum(run.worst_s > run.bound_s for run in [*whole, *broken])
-        bound = float(np.median([run.bound_s for run in whole])) * 1e6
-        lines.append(f"| {law.name} | {worst.max():.0f} | {np.median(worst):.0f} | {bound:.0f} | {out} of "
-                     f"{len(whole) + len(broken)} |")
-    return "\n".join(lines) + "\n"
+        yield from [f"## {virtual:g} s on virtual time", "", _losses(soak_virtual(folder, virtual)), ""]
+        found, share = soak_real(folder, real)
+        yield from [f"## {real:g} s on the real clock", "",
+                    _losses(found), "", f"The recording process took {share:.1%} of one core (the controller is "
+                    "another process, the chip's bus is in memory).", "",
+                    f"## {kills} SIGKILLs at random times of a recording", "",
+                    _kills(kill_many(folder, kills, seed)), ""]
+    for lines in (fuzz_codecs.page(frames, seed), clock_laws.page(runs, seed)):
+        yield from (f"#{line}" if line.startswith("# ") else line for line in lines)
+        yield ""
 
 
 def _kills(kills: list[Killed]) -> str:
@@ -181,19 +159,4 @@ EVIDENCE = (
              "no sample lost, no file lost, at most 250 messages missing after a kill",
              (r"\d+ IMU samples: \d+ lost", r"\d+ files recovered whole", r"Beyond 250 messages and 1 s: \d+ files"),
              resumes="no: a soak is one recording"),)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--virtual", type=float, default=600.0, help="seconds on virtual time")
-    parser.add_argument("--real", type=float, default=60.0, help="seconds on the real clock")
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--runs", type=int, default=1000, help="simulated clocks a law")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
-    args = parser.parse_args(arguments)
-    text = page(args)
-    print(text)
-    if args.out:
-        args.out.write_text(text)
+main = program(page)
