@@ -1,17 +1,10 @@
-"""Cases of the blind bench, each made again from its class, effects, level and seed.
-
-    python -m evidence blind.bench none --seed 1 --out cases
-    python -m evidence blind.bench single --effect stribeck_friction --level moderate --seed 1 --out cases
-
-writes cases/NAME/r1.csv .. r8.csv and rig.toml, and the truth beside the folder, cases/NAME.truth.json.
-Seeds 1 to 99 are for tuning, 1000 and up for the claim.
+"""Cases of the blind bench, each made again from its class, effects and seed: runs and rig file, and next to the folder
+the truth.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,23 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evidence.blind.cases import (
-    CLASSES,
-    KNEE_LIMIT,
-    PIVOT_LIMIT,
-    RUNS,
-    SAMPLES,
-    STRENGTHS,
-    TABLE_RATIO,
-    TARGETS,
-    Case,
-    DrawnCase,
-    catalogue,
-    draw_case,
-    physical,
-    strengths,
-)
-from evidence.blind.effects import INSIDE, MAKERS, OUTSIDE, START
+from evidence.blind.cases import KNEE_LIMIT, PIVOT_LIMIT, RUNS, SAMPLES, Case, DrawnCase, draw_case, physical, strengths
 from evidence.blind.excite import SECONDS
 from evidence.blind.leg import Array, Leg, stack
 from evidence.blind.measure import RATE_HZ, coloured, disturb, read, write_rig, write_run
@@ -48,13 +25,6 @@ SHARES = np.array([0.2, 0.35, 0.5, 0.7, 0.9, 1.15])
 
 def _scale(rigs: list[DrawnCase], grid: Array) -> None:
     """Give every case the largest torque that keeps its plain leg within moderate angles."""
-    unique = {rig.plain_key: rig for rig in rigs}
-    _scale_unique(list(unique.values()), grid)
-    for rig in rigs:
-        rig.scale = unique[rig.plain_key].scale
-
-
-def _scale_unique(rigs: list[DrawnCase], grid: Array) -> None:
     legs: list[Leg] = []
     torque: list[Array] = []
     for rig in rigs:
@@ -110,19 +80,14 @@ class _Signals:
     pivot: list[Array]
 
 
-def generate(cases: Sequence[Case], root: Path, *, table: dict[str, float] | None = None,
-             write: bool = True, strength: Sequence[float] | None = None, with_ratio: bool = True,
-             step: float = 5e-4, kept: dict[str, _Reference] | None = None,
+def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step: float = 5e-4,
              samples: int = SAMPLES) -> list[dict[str, Any]]:
-    """Make all cases in one integration and give their truths; files go under `root` when `write`.
+    """Make all cases in one integration, write their files to `root` and give their truths.
 
-    A single effect is first scaled on a coarse step until its ratio meets the target of its level,
-    unless `strength` is given. `kept` carries plain references from call to call (calibration asks for the same
-    legs again and again).
+    A single effect is first scaled on a coarse step until its ratio meets the target of its level.
     """
-    table = strengths() if table is None else table
     grid = np.arange(samples) / RATE_HZ
-    rigs = [draw_case(case, table, None if strength is None else strength[i]) for i, case in enumerate(cases)]
+    rigs = [draw_case(case, strengths()) for case in cases]
     _scale(rigs, grid)
     signals = _Signals([], [], [], [])
     for rig in rigs:
@@ -131,14 +96,15 @@ def generate(cases: Sequence[Case], root: Path, *, table: dict[str, float] | Non
             signals.noise.append(rig.sensors.torque * rig.noise.normal(size=samples))
             signals.process.append(coloured(rig.noise, samples, rig.sensors.process, rig.sensors.process_time))
             signals.pivot.append(coloured(rig.noise, samples, rig.sensors.pivot, rig.sensors.process_time))
-    references = {} if kept is None else kept
+    references = _refer(rigs, signals) if with_ratio else []
     if with_ratio:
-        _refer(rigs, signals, references)
-        if strength is None:
-            _size(rigs, signals, grid, table, references)
+        _size(rigs, signals, grid, references)
     motion = _truly(rigs, range(len(rigs)), signals, grid, step)
-    return [_finish(rig, i, i, motion, signals, references.get(rig.plain_key), root if write else None)
-            for i, rig in enumerate(rigs)]
+    truths = []
+    for i, rig in enumerate(rigs):
+        measured, ratio = _seen(rig, i, i, motion, signals, *references[i:i + 1])
+        truths.append(_written(rig, i, motion, signals, measured, ratio, root))
+    return truths
 
 
 def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid: Array, step: float) -> Motion:
@@ -169,8 +135,7 @@ def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid
                      fast=np.array(fast, int))
 
 
-def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, table: dict[str, float],
-          references: dict[str, _Reference], rounds: int = 3) -> None:
+def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference], rounds: int = 3) -> None:
     """Scale single effects to their target ratio: log-log secant steps on sqrt(ratio^2 - 1)."""
     value = {i: rig.strength for i, rig in enumerate(rigs) if len(rig.hidden) == 1}
     last: dict[int, tuple[float, float]] = {}
@@ -185,7 +150,8 @@ def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, table: dict[str
         for k, i in enumerate(open_):
             rig = rigs[i]
             name, target = rig.case.effects[0], rig.target
-            got = _finish(rig, i, k, motion, signals, references[rig.plain_key], None)["ratio"]["projected"]
+            _, got = _seen(rig, i, k, motion, signals, references[i])
+            assert got is not None
             if abs(np.log(got / target)) < 0.15:
                 continue
             now = (float(np.log(value[i])), _log_excess(got))
@@ -194,7 +160,7 @@ def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, table: dict[str
                 slope = float(np.clip((now[1] - last[i][1]) / (now[0] - last[i][0]), 0.4, 2.5))
             last[i] = now
             value[i] = physical(name, value[i] * np.exp(np.clip((_log_excess(target) - now[1]) / slope, -1.2, 1.2)))
-            rig.hidden = draw_case(rig.case, table, value[i]).hidden
+            rig.hidden = draw_case(rig.case, strengths(), value[i]).hidden
             left.append(i)
         open_ = left
 
@@ -203,121 +169,47 @@ def _log_excess(ratio: float) -> float:
     return float(np.log(max(ratio**2 - 1.0, 1e-2)) / 2)
 
 
-def _refer(rigs: list[DrawnCase], signals: _Signals, kept: dict[str, _Reference]) -> None:
-    """Add the plain references that `kept` lacks. Only a ratio hangs on them: a coarser step will do."""
-    first = {rig.plain_key: i for i, rig in reversed(list(enumerate(rigs))) if rig.plain_key not in kept}
-    if not first:
-        return
-    lanes = [i * RUNS + run for i in first.values() for run in range(RUNS)]
-    count = len(lanes)
-    shown, noise, process, pivot = signals.shown, signals.noise, signals.process, signals.pivot
-    legs = [rigs[lane // RUNS].leg for lane in lanes]
-    still = np.zeros_like(shown[0])
-    motion = integrate(stack(legs * 2), np.array([shown[k] + noise[k] for k in lanes]
-                                                 + [shown[k] + process[k] for k in lanes]).T,
-                       pivot=np.array([still] * count + [pivot[k] for k in lanes]).T, step=1e-3)
-    slopes = sensitivities(stack(legs), np.array([shown[k] for k in lanes]).T)
-    for k, key in enumerate(first):
-        mine = np.arange(k * RUNS, (k + 1) * RUNS)
-        kept[key] = _Reference(motion.pick(mine), motion.pick(mine + count), slopes[:, mine])
+def _refer(rigs: list[DrawnCase], signals: _Signals) -> list[_Reference]:
+    """The plain reference of each case. Only a ratio hangs on them: a coarser step will do."""
+    count = len(rigs) * RUNS
+    shown, noise, process, pivot = (np.array(x) for x in (signals.shown, signals.noise, signals.process, signals.pivot))
+    legs = [rig.leg for rig in rigs for _ in range(RUNS)]
+    motion = integrate(stack(legs * 2), np.concatenate([shown + noise, shown + process]).T,
+                       pivot=np.concatenate([np.zeros_like(shown), pivot]).T, step=1e-3)
+    slopes = sensitivities(stack(legs), shown.T)
+    lanes = (np.arange(k * RUNS, (k + 1) * RUNS) for k in range(len(rigs)))
+    return [_Reference(motion.pick(mine), motion.pick(mine + count), slopes[:, mine]) for mine in lanes]
 
 
-def _finish(rig: DrawnCase, index: int, slot: int, motion: Motion, signals: _Signals,
-            reference: _Reference | None, root: Path | None) -> dict[str, Any]:
-    """Read the sensors of case `index`, which is the `slot`-th of `motion`; write its files and give its truth."""
+def _seen(rig: DrawnCase, index: int, slot: int, motion: Motion, signals: _Signals, reference: _Reference | None = None
+          ) -> tuple[list[dict[str, Array]], float | None]:
+    """Readings of case `index`, which is the `slot`-th of `motion`, without noise, and the ratio of its error."""
     faults = {key: value for effect in rig.hidden for key, value in effect.sense.items()}
-    lanes = list(range(slot * RUNS, (slot + 1) * RUNS))
-    shown, noise = (x[index * RUNS:(index + 1) * RUNS] for x in (signals.shown, signals.noise))
-    measured = [read(motion, lane, u, faults, rig.sensors) for lane, u in zip(lanes, shown)]
+    shown = signals.shown[index * RUNS:(index + 1) * RUNS]
+    measured = [read(motion, slot * RUNS + run, shown[run], faults, rig.sensors) for run in range(RUNS)]
+    if reference is None:
+        return measured, None
+    seen = [[read(m, run, shown[run], {}, rig.sensors) for run in range(RUNS)]
+            for m in (reference.plain, reference.bare)]
+    return measured, error_ratio(measured, seen[0], seen[1], reference.slopes, rig.sensors)
+
+
+def _written(rig: DrawnCase, index: int, motion: Motion, signals: _Signals, measured: list[dict[str, Array]],
+             ratio: float | None, root: Path) -> dict[str, Any]:
+    """Write the files of a case; its truth."""
+    lanes = slice(index * RUNS, (index + 1) * RUNS)
     truth: dict[str, Any] = {
-        "schema": "legid.blind/1", "name": rig.case.name, "class": rig.case.kind, "variant": rig.variant,
-        "level": rig.case.level if rig.hidden else None, "seed": rig.case.seed,
+        "name": rig.case.name, "variant": rig.variant, "seed": rig.case.seed, "ratio": ratio,
         "effects": [{"effect": h.effect, "joint": h.joint, "outside": h.outside,
                      "size": [asdict(s) for s in h.sizes],
                      "also": [{"effect": e, "joint": j} for e, j in h.also]} for h in rig.hidden],
-        "deleted": rig.case.effects[0] if rig.case.kind == "deleted" else None,
         "parameters": dict(zip([f"beta{k}" for k in range(1, 10)], map(float, rig.leg.beta()))),
-        "sensors": asdict(rig.sensors), "peak_torque_nm": rig.scale,
-        "largest": {"q1_rad": float(np.abs(motion.q1[:, lanes]).max()),
-                    "q2_rad": float(np.abs(motion.q2[:, lanes]).max())}}
-    if reference is not None:
-        plain, bare = reference.plain, reference.bare
-        truth["free_run_rmse"] = {
-            name: {"before": _rms(getattr(motion, q)[:, lanes] - getattr(plain, q)),
-                   "floor": _rms(getattr(bare, q) - getattr(plain, q))}
-            for name, q in (("q1_rad", "q1"), ("q2_rad", "q2"))}
-        seen = [[read(m, run, shown[run], {}, rig.sensors) for run in range(RUNS)] for m in (plain, bare)]
-        truth["ratio"] = error_ratio(measured, seen[0], seen[1], reference.slopes, rig.sensors)
-    if root is not None:
-        folder = root / rig.case.name
-        folder.mkdir(parents=True, exist_ok=True)
-        write_rig(folder / "rig.toml", rig.sensors)
-        for run in range(RUNS):
-            write_run(folder / f"r{run + 1}.csv", disturb(measured[run], noise[run], rig.sensors, rig.noise))
-        (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
+        "sensors": asdict(rig.sensors),
+        "largest": {f"q{j}_rad": float(np.abs(q[:, lanes]).max()) for j, q in ((1, motion.q1), (2, motion.q2))}}
+    folder = root / rig.case.name
+    folder.mkdir(parents=True, exist_ok=True)
+    write_rig(folder / "rig.toml", rig.sensors)
+    for run, (columns, noise) in enumerate(zip(measured, signals.noise[lanes]), 1):
+        write_run(folder / f"r{run}.csv", disturb(columns, noise, rig.sensors, rig.noise))
+    (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     return truth
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
-
-
-def calibrate(seeds: Sequence[int] = (1, 2, 3), target: float = TABLE_RATIO, rounds: int = 4,
-              names: Sequence[str] = (*INSIDE, *OUTSIDE)) -> None:
-    """Find every effect's strength for a projected ratio of `target` (median over seeds) and keep the table."""
-    known = json.loads(STRENGTHS.read_text(encoding="utf-8")) if STRENGTHS.exists() else {"strengths": {}, "ratio": {}}
-    value = {name: known["strengths"].get(name, START[name]) for name in names}
-    last: dict[str, tuple[float, float]] = {}
-    kept: dict[str, _Reference] = {}
-    for _ in range(rounds):
-        cases = [Case("calibrate", (name,), "moderate", seed) for name in names for seed in seeds]
-        truths = generate(cases, Path("."), write=False, strength=[value[c.effects[0]] for c in cases],
-                          step=1e-3, kept=kept)
-        for k, name in enumerate(names):
-            mine = truths[k * len(seeds):(k + 1) * len(seeds)]
-            got = float(np.median([t["ratio"]["projected"] for t in mine]))
-            print(f"{name:28s} {value[name]:.5g} -> {got:.2f}", flush=True)
-            known["strengths"][name], known["ratio"][name] = value[name], got
-            now = (float(np.log(value[name])), _log_excess(got))
-            aim = _log_excess(target)
-            slope = 1.0
-            if name in last and abs(now[0] - last[name][0]) > 1e-3:
-                slope = float(np.clip((now[1] - last[name][1]) / (now[0] - last[name][0]), 0.4, 2.5))
-            last[name] = now
-            step = float(np.clip((aim - now[1]) / slope, -1.2, 1.2))
-            if 2.7 < got < 3.3:
-                step = 0.0
-            value[name] = physical(name, np.exp(now[0] + step))
-        known["seeds"], known["target"] = list(seeds), target
-        STRENGTHS.write_text(json.dumps(known, indent=1), encoding="utf-8")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kind", choices=(*CLASSES, "calibrate"))
-    parser.add_argument("--effect", help="NAME, or NAME+NAME for a pair; without it every effect of the class")
-    parser.add_argument("--level", choices=tuple(TARGETS), default="moderate")
-    parser.add_argument("--seed", default="1", help="N or A-B")
-    parser.add_argument("--out", type=Path, default=Path("blind-cases"))
-    parser.add_argument("--batch", type=int, default=32, help="cases in one integration")
-    options = parser.parse_args(arguments)
-    low, _, high = options.seed.partition("-")
-    seeds = range(int(low), int(high or low) + 1)
-    names = tuple(options.effect.split("+")) if options.effect else ()
-    unknown = [name for name in names if name not in MAKERS]
-    if unknown:
-        parser.error(f"no effect is called {unknown[0]}; there are {', '.join(MAKERS)}")
-    if options.kind == "calibrate":
-        calibrate(names=names or (*INSIDE, *OUTSIDE))
-        return 0
-    if options.kind == "none" and names:
-        parser.error("class none hides nothing: leave --effect out")
-    cases = [Case(options.kind, names, options.level, s) for s in seeds] if names \
-        else catalogue(options.kind, seeds, level=options.level)
-    start = time.perf_counter()
-    for k in range(0, len(cases), options.batch):
-        for truth in generate(cases[k:k + options.batch], options.out):
-            print(f"{truth['name']}  ratio {truth['ratio']['projected']:.2f} (raw {truth['ratio']['raw']:.2f})",
-                  flush=True)
-    print(f"{len(cases)} cases in {time.perf_counter() - start:.1f} s")
-    return 0

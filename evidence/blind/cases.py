@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.effects import INSIDE, LARGEST, MAKERS, NEEDS, OUTSIDE, SMALLEST, START, Hidden
+from evidence.blind.effects import INSIDE, LARGEST, MAKERS, NEEDS, SMALLEST, Hidden
 from evidence.blind.excite import PATTERN, SECONDS, Torque, draw
 from evidence.blind.leg import Array, Leg
 from evidence.blind.measure import RATE_HZ, Sensors
 
-CLASSES = ("none", "single", "pair", "outside", "deleted")
 # range of the ratio between the nominal free run's error and its floor (ratio.py), drawn within by seed
-TARGETS = {"small": (1.25, 1.6), "moderate": (2.3, 4.3), "large": (6.0, 9.0)}
+TARGETS = {"moderate": (2.3, 4.3), "large": (6.0, 9.0)}
 TABLE_RATIO = 3.0
 VARIANTS = ("plain", "weak", "coarse", "coloured", "quiet")
 RUNS = len(PATTERN)
 SAMPLES = round(SECONDS * RATE_HZ)
-STRENGTHS = Path(__file__).with_name("strengths.json")
 KNEE_LIMIT, PIVOT_LIMIT = 1.7, 0.85
 # two of one kind make one effect, not two; a shaft is either wound or has play
 APART = ({"joint_elasticity", "backlash"}, {"stribeck_friction", "presliding_friction"},
@@ -64,18 +62,12 @@ class DrawnCase:
     """Projected ratio that a single effect is scaled to."""
     scale: float = 1.0
 
-    @property
-    def plain_key(self) -> str:
-        """Equal for cases that share leg and excitation."""
-        return f"{self.case.seed}-{self.leg.coulomb2:.9f}" if self.case.kind == "calibrate" else self.case.name
 
-
+@cache
 def strengths() -> dict[str, float]:
     """Strength of every effect at which the nominal free run errs about three times its floor (calibrated)."""
-    table = dict(START)
-    if STRENGTHS.exists():
-        table.update(json.loads(STRENGTHS.read_text(encoding="utf-8"))["strengths"])
-    return table
+    found: dict[str, float] = json.loads(Path(__file__).with_name("strengths.json").read_text())["strengths"]
+    return found
 
 
 def draw_leg(rng: np.random.Generator) -> Leg:
@@ -86,8 +78,7 @@ def draw_leg(rng: np.random.Generator) -> Leg:
 
 
 def draw_case(case: Case, table: dict[str, float], strength: float | None = None) -> DrawnCase:
-    # calibration compares effects on the same legs
-    parts = (case.kind,) if case.kind == "calibrate" else (case.kind, "+".join(case.effects), case.level)
+    parts = (case.kind, "+".join(case.effects), case.level)
     key = [zlib.crc32(part.encode()) for part in parts]
     streams = np.random.SeedSequence([*key, case.seed]).spawn(4)
     plan, hide, sensor, noise = (np.random.default_rng(s) for s in streams)
@@ -115,18 +106,6 @@ def draw_case(case: Case, table: dict[str, float], strength: float | None = None
 
 def physical(name: str, strength: float) -> float:
     return float(np.clip(strength, SMALLEST.get(name, 0.0), LARGEST.get(name, np.inf)))
-
-
-def catalogue(kind: str, seeds: Sequence[int], *, level: str = "moderate") -> list[Case]:
-    """All cases of a class for these seeds: one per seed, and per effect where the class has one.
-
-    Cases of one effect follow each other: an integration pays for every effect that any of its lanes has.
-    """
-    if kind == "none":
-        return [Case("none", (), "moderate", seed) for seed in seeds]
-    if kind == "pair":
-        return [Case("pair", draw_pair(seed), level, seed) for seed in seeds]
-    return [Case(kind, (name,), level, seed) for name in (OUTSIDE if kind == "outside" else INSIDE) for seed in seeds]
 
 
 def draw_pair(seed: int) -> tuple[str, str]:

@@ -292,19 +292,6 @@ MAKERS: dict[str, Maker] = {f.__name__: f for f in (*_ALL, *_OUTSIDE)}
 INSIDE = tuple(f.__name__ for f in _ALL)
 OUTSIDE = tuple(f.__name__ for f in _OUTSIDE)
 
-# strength at which the search for a moderate size begins, and the range that is still physical
-START: dict[str, float] = {
-    "stribeck_friction": 0.05, "asymmetric_friction": 0.05, "load_dependent_friction": 0.1,
-    "presliding_friction": 0.05, "quadratic_drag": 0.0025, "friction_drift": 0.06, "joint_stiffness": 0.2,
-    "joint_elasticity": 0.02, "backlash": 0.03, "rotor_inertia": 0.01, "end_stop_contact": 0.4,
-    "base_compliance": 1 / 3000, "torque_ripple": 0.1, "torque_offset": 0.04, "torque_saturation": 0.6,
-    "torque_delay": 0.008, "sensor_time_skew": 0.006, "gyro_bias": 0.05, "gyro_scale": 0.05,
-    "accelerometer_bias": 0.4, "imu_misalignment": 0.04, "imu_lever_arm": 0.02, "encoder_offset": 0.04,
-    "encoder_scale": 0.04, "encoder_eccentricity": 0.04,
-    "gyro_g_sensitivity": 0.01, "swaying_gravity": 0.04, "sloshing_payload": 0.003, "cable_hysteresis": 0.05,
-    "magnetic_gyro": 0.1, "torque_dead_band": 0.05, "encoder_interpolation": 0.02,
-    "angle_dependent_friction": 0.05, "gyro_cubic": 0.01, "loose_payload": 0.1, "torque_gain_drift": 0.15,
-    "knee_drags_pivot": 0.03}
 # what a leg must have for an effect to matter on it: factors on its parameters
 NEEDS: dict[str, dict[str, float]] = {"presliding_friction": {"coulomb2": 3.0}}
 SMALLEST: dict[str, float] = {"joint_elasticity": 1 / 500}

@@ -2,7 +2,7 @@
 
 The floor is what process torque and shunt noise alone make of a free run. A fit can move the nine parameters and
 each run's initial state; to first order it removes from both errors what lies in their span, so the ratio is
-given raw and projected.
+that of what is projected.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def sensitivities(leg: Leg, torque: Array, lever: float = 0.20) -> Array:
 
 
 def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping[str, Array]],
-                bare: Sequence[Mapping[str, Array]], slopes: Array, sensors: Sensors) -> dict[str, object]:
-    """Largest ratio over the sensors, raw and projected, and each sensor's own. Columns are noise free."""
+                bare: Sequence[Mapping[str, Array]], slopes: Array, sensors: Sensors) -> float:
+    """Largest projected ratio over the sensors. Columns are noise free."""
     sigma = np.array([sensors.count_rad / np.sqrt(12.0), sensors.gyro, sensors.accel, sensors.accel])[:, None]
 
     def differ(a: Sequence[Mapping[str, Array]]) -> Array:
@@ -68,11 +68,5 @@ def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping
         flat = (a / level).reshape(-1)
         return np.asarray((flat - basis @ (basis.T @ flat)).reshape(a.shape) * level)
 
-    def compare(a: Array, b: Array) -> Array:
-        power = [np.mean(x**2, axis=(0, 2)) + sigma[:, 0]**2 for x in (a, b)]
-        return np.asarray(np.sqrt(power[0] / power[1]))
-
-    raw, kept = compare(error, floor), compare(project(error), project(floor))
-    return {"raw": float(raw.max()), "projected": float(kept.max()),
-            "raw_by_sensor": dict(zip(CHANNELS, map(float, raw))),
-            "projected_by_sensor": dict(zip(CHANNELS, map(float, kept)))}
+    power = [np.mean(x**2, axis=(0, 2)) + sigma[:, 0]**2 for x in (project(error), project(floor))]
+    return float(np.sqrt(power[0] / power[1]).max())
