@@ -1,13 +1,8 @@
-"""The calibration of stated probabilities: its coefficients by all answers, and what it is worth on families left out.
-
-`python -m evidence.blind.calibration ANSWERS...` prints the coefficients for `estimator.diagnosis.calibration`.
-"""
+"""The calibration of stated probabilities: coefficients by all answers, and what it is worth on families left out."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +10,9 @@ from scipy.optimize import minimize
 
 from daq import FloatArray
 from estimator.diagnosis.calibration import calibrated, terms
-from evidence.blind.score import Rate
 
 SPREAD = 3.0
 """Standard deviation of each coefficient before any answer; what few answers do not tell stays near none."""
-HIGH = 0.95
 Coefficients = tuple[float, float, float]
 
 
@@ -53,30 +46,3 @@ def left_out(answers: Sequence[Stated]) -> list[float]:
     others = {name: fit([a for a in answers if a.family != name]) for name in {a.family for a in answers}}
     return [calibrated(a.in_library, others[a.family]) for a in answers]
 
-
-def table(answers: Sequence[Stated], bins: Sequence[tuple[float, float]]) -> Iterator[str]:
-    """Lines of Markdown: true answers by calibrated probability, of families that its calibration has not seen."""
-    stated = left_out(answers)
-    yield from ["| stated | answers | mean stated | true |", "| --- | --- | --- | --- |"]
-    for low, high in [*bins, (0.0, 1.0)]:
-        own = [(a, p) for a, p in zip(answers, stated) if low <= p and (p < high or high == 1.0)]
-        mean = f"{np.mean([p for _, p in own]):.2f}" if own else "-"
-        share = str(Rate(sum(a.true for a, _ in own), len(own))) if own else "-"
-        yield f"| {'all' if high - low == 1.0 else f'{low:g} to {high:g}'} | {len(own)} | {mean} | {share} |"
-
-
-def main() -> None:
-    from evidence.blind.page import answer_file, read, stated_of
-    from evidence.blind.plan import FAMILIES, RECORDS, choose
-
-    found: list[Stated] = []
-    for folder in map(Path, sys.argv[1:]):
-        seeds = sorted({int(path.stem.rpartition("-")[2]) for path in folder.glob("*/diagnoses/*.json")})
-        cases = choose([family for family in FAMILIES if family != RECORDS], [], seeds)
-        found += stated_of(read([case for case in cases if answer_file(case, folder).exists()], folder))
-    print(len(found), "answers:", ", ".join(f"{value:.3g}" for value in fit(found)))
-    print("\n".join(table(found, [(0.0, 0.5), (0.5, 0.8), (0.8, HIGH), (HIGH, 1.0)])))
-
-
-if __name__ == "__main__":
-    main()

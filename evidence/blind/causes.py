@@ -6,13 +6,11 @@ Called again it goes on where it stopped; after a change of the program it begin
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from datetime import UTC, datetime
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -22,12 +20,11 @@ from estimator.parallel import cores, worker_pool
 from evidence.blind.page import COLUMNS, answer_file, read, tables
 from evidence.blind.plan import FAMILIES, RECORDS, PlannedCase, choose, here, one_round, plan
 from evidence.blind.run import diagnose, failed, keep, parse_seeds
+from evidence.frame import Lines, program, tell
 from evidence.kept import FOLDER, source_hash
 from evidence.registry import Evidence
-from studies import machine
 from tests.support.paths import REAL
 
-SEED, MINUTES, AT_ONCE = 2000, 60.0, 2
 LEGS = (f"A single cause is material from an error of {1.0 + MATERIAL:g} floors on. A leg with a cause outside the "
         "library has no right name. `one_of` with the truth in it counts as truth in the answer. A torque offset and "
         "asymmetric friction have the same effect on any record, so their `one_of` is never exact.")
@@ -81,28 +78,44 @@ def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_on
 
 def _tell(case: PlannedCase, found: dict[str, Any], seconds: float) -> None:
     error, bench = found.get("error") or {}, found["bench"]
-    print(f"{seconds / 60.0:.1f} min  {case.family} {case.name}: {found['verdict']}",
-          ", ".join(cause["effect"] for cause in found["causes"]),
-          " to ".join(f"{value:.2f}" for value in error.values() if value is not None),
-          f"{bench.get('wall_s', 0.0):.0f} s", bench["said"], flush=True)
+    tell(f"{seconds / 60.0:.1f} min", case.family, case.name, found["verdict"],
+         ", ".join(cause["effect"] for cause in found["causes"]), *error.values(), bench.get("wall_s"), bench["said"])
 
 
-def page(cases: Sequence[PlannedCase], folder: Path, made: str, families: Sequence[str], at_once: int
-         ) -> Iterator[str]:
-    """The page, line by line; `made` says by which command, of how large a plan, in what time."""
-    seeds, simulated = [case.seed for case in cases], [name for name in families if name != RECORDS]
-    yield from [
-        "# Causes that `legid diagnose` names" if simulated else "# Faults put into real records", "",
-        f"Made by {made}. {datetime.now(UTC):%Y-%m-%d}, {machine()}. Seeds {min(seeds)} to {max(seeds)}.", ""]
+def page(minutes: float = 60.0, seed: int = 2000, families: Sequence[str] = tuple(FAMILIES), effects: str = "",
+         seeds: str = "", at_once: int = 2, answers: str = str(FOLDER / "causes" / source_hash().hex()[:12])) -> Lines:
+    """Of a random sample: all cases of a plan up to the first without an answer. EFFECTS: comma-separated parts of
+    names, only cases that have one of them, each with SEED or SEEDS (N or A-B, several after commas)."""
+    words, folder, there = list(filter(None, effects.split(","))), Path(answers), here(families)
+    chosen = choose(there, words, parse_seeds(seeds) or [seed]) if words or seeds else None
+    if chosen == []:
+        raise SystemExit("no case has such a name, or its records are not next to the checkout")
+    answer_all(chosen or plan(there, seed), folder, minutes, at_once)
+    if chosen is None:
+        done = list(takewhile(lambda case: answer_file(case, folder).exists(), plan(there, seed)))
+        count = f"{len(done)} cases of a plan in random order, {len(one_round(0, there, seed))} a round"
+    else:
+        done = [case for case in chosen if answer_file(case, folder).exists()]
+        count = f"{len(done)} of {len(chosen)} chosen cases"
+    if not done:
+        raise SystemExit("no case is done: give more minutes")
+    yield from written(done, folder, count, there, at_once)
+
+
+def written(cases: Sequence[PlannedCase], folder: Path, count: str, families: Sequence[str], at_once: int
+            ) -> Iterator[str]:
+    """The page, line by line; `count` says of how large a plan the cases are."""
+    found, simulated = [case.seed for case in cases], [name for name in families if name != RECORDS]
+    yield from ["# Causes that `legid diagnose` names" if simulated else "# Faults put into real records", "",
+                f"Seeds {min(found)} to {max(found)}: {count}.", ""]
     if simulated:
         yield from ["Simulators that share no code with legid made the legs. Each has eight runs of 20 s.", "",
                     *(f"- {name}: {FAMILIES[name].legs}" for name in families), ""]
     if not REAL.is_dir():
         yield from ["The family of real records is left out: ../shared/realdata is not next to the checkout.", ""]
-    yield ("Errors are rms errors of free runs over the noise floor, as the diagnosis states them. Intervals are "
-           "Wilson's, 95 %. " + (LEGS if simulated else FAULTS))
+    yield from ["Errors are rms errors of free runs over the noise floor, as the diagnosis states them. Intervals are "
+                "Wilson's, 95 %. " + (LEGS if simulated else FAULTS), ""]
     yield from tables(read(cases, folder), at_once)
-    yield ""
 
 
 def _result(text: str) -> str:
@@ -124,59 +137,10 @@ def _found(text: str) -> str:
 
 EVIDENCE = (
     Evidence("Hidden causes, healthy legs and causes outside the library: what does `legid diagnose` answer?",
-             "make evidence", "causes.md", MINUTES, "no alarm on 98 %; material singles exactly 85 %, in the answer "
+             "make evidence", "causes.md", 60, "no alarm on 98 %; material singles exactly 85 %, in the answer "
              "95 %, wrong at most 2 %; pairs 75 %; outside 85 %", _result, r"Seeds (\d+ to \d+)"),
     Evidence("Faults put into the readings of real records: does `legid diagnose` find them?",
              "make evidence FAMILIES=records MINUTES=9", "real-records.md", 9, "-", _found, r"Seeds (\d+ to \d+)"))
 
 
-def spend(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int, log: Path) -> float:
-    """As `answer_all`; the minutes of all calls so far, which `log` keeps."""
-    began = time.monotonic()
-    try:
-        answer_all(cases, folder, minutes, at_once)
-    finally:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("a", encoding="utf-8") as file:
-            file.write(f"{(time.monotonic() - began) / 60.0:.3f}\n")
-    return sum(map(float, log.read_text(encoding="utf-8").split()))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=MINUTES, help="after which no other case is begun")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the first round")
-    parser.add_argument("--families", nargs="+", choices=tuple(FAMILIES), default=list(FAMILIES))
-    parser.add_argument("--effects", default="", help="comma-separated parts of names: only cases that have one of "
-                                                      "them, each with SEED or SEEDS")
-    parser.add_argument("--seeds", type=parse_seeds, help="N or A-B, several after commas: these instead of rounds")
-    parser.add_argument("--at-once", type=int, default=AT_ONCE,
-                        help="diagnoses side by side, each on one core; one alone on all")
-    parser.add_argument("--answers", type=Path, default=FOLDER / "causes" / source_hash().hex()[:12],
-                        help="folder that keeps them; that of this program by default")
-    parser.add_argument("--out", type=Path, required=True, help="the page")
-    given = parser.parse_args(arguments)
-    words, families = [word for word in given.effects.split(",") if word], here(given.families)
-    seeds: list[int] = given.seeds or [given.seed]
-    chosen = choose(families, words, seeds) if words or given.seeds else None
-    if not families or chosen == []:
-        parser.error("no case has such a name, or its records are not next to the checkout")
-    options = [f"EFFECTS={','.join(words)}"] if words else []
-    options += [f"SEED={given.seed}" if chosen is None else f"SEEDS={','.join(map(str, seeds))}"]
-    options += [] if families == here(FAMILIES) else [f'FAMILIES="{" ".join(families)}"']
-    log = given.answers / f"{re.sub('[^a-z_0-9]+', '-', ' '.join(options).lower())}.minutes"
-    planned = plan(families, given.seed) if chosen is None else chosen
-    minutes = spend(planned, given.answers, given.minutes, given.at_once, log)
-    if chosen is None:  # a random sample: all cases up to the first without an answer
-        done = list(takewhile(lambda case: answer_file(case, given.answers).exists(), plan(families, given.seed)))
-        count = f"{len(done)} cases of a plan in random order, {len(one_round(0, families, given.seed))} a round"
-    else:
-        done = [case for case in chosen if answer_file(case, given.answers).exists()]
-        count = f"{len(done)} of {len(chosen)} chosen cases"
-    if not done:
-        parser.error("no case is done: give more minutes")
-    made = f"`make evidence {' '.join(options)} RUNS_AT_ONCE={given.at_once}` in {minutes:.0f} minutes: {count}"
-    lines = list(page(done, given.answers, made, families, given.at_once))
-    print("\n".join(lines))
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text("\n".join(lines), encoding="utf-8")
+main = program(page)

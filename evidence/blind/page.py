@@ -13,15 +13,15 @@ import numpy as np
 
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL
 from evidence.blind import records
-from evidence.blind.calibration import Stated, fit, table
+from evidence.blind.calibration import Stated, fit, left_out
 from evidence.blind.plan import FAMILIES, PlannedCase
 from evidence.blind.score import NAMES, PRESENT, Outcome, Rate, sizes_inside
+from evidence.frame import share, table
 
 PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 1.0)
 """Bins of the stated probability."""
 RATIOS = (-np.inf, EDGE, 2.0, 5.0, np.inf)
 OUTSIDE = ("outside", "deleted")
-WALL_S, CPU_S = "wall_s", "cpu_s"
 
 
 @dataclass(frozen=True)
@@ -203,105 +203,99 @@ def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
         yield from _sizes_and_times(legs, at_once)
         yield from _not_right(legs)
     if real:
-        yield from ["", "## Real records with a fault put in", "",
+        yield from ["## Real records with a fault put in", "",
                     "Found: the fault is named or in the set, and was not before, or grew by what was put in.", "",
                     *records.compare([a.outcome for a in real], {a.case.name: a.document for a in real})]
 
 
-def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
-    yield from ["", "## By family", "", "Bold: misses the target.", "",
-                *_head(["family", *(column.title for column in COLUMNS)])]
+def _families(answers: Sequence[Answer]) -> Iterator[tuple[str, list[Answer]]]:
+    """Each family that has answers, and all."""
     for family in (*FAMILIES, "all"):
         own = [a for a in answers if family in (a.case.family, "all")]
         if own:
-            cells = ((column, rate(own, column.count)) for column in COLUMNS)
-            yield _row([family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)])
-    every = [rate(answers, column.count) for column in COLUMNS]
-    yield _row(["target", *(column.judge(one) for column, one in zip(COLUMNS, every))])
+            yield family, own
+
+
+def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
+    rows = []
+    for family, own in _families(answers):
+        cells = ((column, rate(own, column.count)) for column in COLUMNS)
+        rows.append((family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)))
+    rows.append(("target", *(column.judge(rate(answers, column.count)) for column in COLUMNS)))
+    yield from ["## By family", "", "Bold: misses the target.", ""]
+    yield from table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
     single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
     pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))
-    named = [(a, c) for a in answers if a.kind in ("single", "pair") and a.outcome.verdict in NAMES for c in a.listed]
-    listed = Rate(sum(a.outcome.true_cause(c) for a, c in named), len(named))
-    without = sum(bool(a.document["bench"]["crashed"]) for a in answers)
-    yield from ["", f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
-                    f"{pair.hits} of {pair.count}. Of {listed.count} effects listed as present together with a name "
-                    f"{listed.hits} were put in; several families have small faults of their own. Cases without an "
-                    f"answer: {without}. They count as misses."]
+    listed = [a.outcome.true_cause(c) for a in answers if a.kind in ("single", "pair") and a.outcome.verdict in NAMES
+              for c in a.listed]
+    yield from [f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
+                f"{pair.hits} of {pair.count}. Of {len(listed)} effects listed as present together with a name "
+                f"{sum(listed)} were put in; several families have small faults of their own. Cases without an "
+                f"answer: {sum(bool(a.document['bench']['crashed']) for a in answers)}. They count as misses.", ""]
 
 
 def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
-    yield from ["", "## By error before, over the floor", "", *_head(["ratio", *(title for title, _ in BY_RATIO)])]
-    for low, high in pairwise(RATIOS):
-        own = [a for a in answers if a.before is not None and low < a.before <= high]
-        name = f"up to {high:g}" if low == -np.inf else f"above {low:g}" if high == np.inf else f"{low:g} to {high:g}"
-        yield _row([name, *(_cell(rate(own, count)) for _, count in BY_RATIO)])
-    own = [a for a in answers if a.before is None]
-    if own:
-        yield _row(["not stated", *(_cell(rate(own, count)) for _, count in BY_RATIO)])
-
-
-def stated_of(answers: Iterable[Answer]) -> list[Stated]:
-    """Answers on simulated legs that have a probability."""
-    return [Stated(a.case.family, a.in_library, a.true) for a in answers if a.in_library is not None]
+    groups = {f"up to {high:g}" if low == -np.inf else f"above {low:g}" if high == np.inf else f"{low:g} to {high:g}":
+              [a for a in answers if a.before is not None and low < a.before <= high] for low, high in pairwise(RATIOS)}
+    if unknown := [a for a in answers if a.before is None]:
+        groups["not stated"] = unknown
+    yield from ["## By error before, over the floor", ""]
+    yield from table(" | ".join(["ratio", *(title for title, _ in BY_RATIO)]), (
+        (name, *(_cell(rate(own, count)) for _, count in BY_RATIO)) for name, own in groups.items()))
 
 
 def _reliability(answers: Sequence[Answer]) -> Iterator[str]:
     """Share of true answers by stated probability, of causes in the library and outside it; and calibrated anew."""
     stated = [(a, a.probability) for a in answers if a.probability is not None]
-    conditional = [(a, a.in_library) for a in answers if a.in_library is not None]
-    yield from ["", "## Stated probability and true answers", "",
+    known = [(a, a.in_library) for a in answers if a.in_library is not None]
+    yield from ["## Stated probability and true answers", "",
                 "An answer is true if its causes are exactly those present. For `partial`, its causes are among those "
                 "present. For `none`, nothing material is. Outside the library only `none` can be true, up to "
                 f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.", "",
-                *_by_probability("stated", stated), "",
-                "The probability if the library has the true causes:", "", *_by_probability("if in the library",
-                                                                                            conditional)]
-    known = stated_of(answers)
-    if len({a.family for a in known}) > 1:
-        a, b, c = fit(known)
-        bins = list(pairwise(PROBABILITIES))
-        yield from ["", "Calibrated anew by these answers, each family by all others "
-                    f"(of all: a = {a:.2g}, b = {b:.2g}, c = {c:.2g}):", "", *table(known, bins)]
+                *_by_probability("stated", stated),
+                "The probability if the library has the true causes:", "", *_by_probability("if in the library", known)]
+    told = [Stated(a.case.family, p, a.true) for a, p in known]
+    if len({one.family for one in told}) > 1:
+        yield from ["Calibrated anew by these answers, each family by all others (of all: a = {:.3g}, b = {:.3g}, "
+                    "c = {:.3g}):".format(*fit(told)), "",
+                    *_by_probability("calibrated", [(a, p) for (a, _), p in zip(known, left_out(told))])]
 
 
 def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Iterator[str]:
-    yield from _head([title, "answers", "mean", "true", "in the library or healthy", "outside"])
+    rows = []
     for low, high in [*pairwise(PROBABILITIES), (0.0, 1.0)]:
         own = [(a, p) for a, p in stated if low <= p and (p < high or high == 1.0)]
-        groups = [[a for a, _ in own if a.kind not in OUTSIDE], [a for a, _ in own if a.kind in OUTSIDE]]
-        rates = [Rate(sum(a.true for a in group), len(group)) for group in ([a for a, _ in own], *groups)]
-        yield _row(["all" if high - low == 1.0 else f"{low:g} to {high:g}", str(len(own)),
-                    f"{np.mean([p for _, p in own]):.2f}" if own else "-", *map(_cell, rates)])
+        groups = ([a.true for a, _ in own if kinds is None or (a.kind in OUTSIDE) == kinds]
+                  for kinds in (None, False, True))
+        rows.append(("all" if high - low == 1.0 else f"{low:g} to {high:g}", len(own),
+                     f"{np.mean([p for _, p in own]):.2f}" if own else "-", *map(share, groups)))
+    return table(f"{title} | answers | mean | true | in the library or healthy | outside", rows)
 
 
 def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
-    yield from ["", "## Sizes and time", "",
+    yield from ["## Sizes and time", "",
                 f"Time of one diagnosis: median, 95th percentile, worst; {at_once} ran at once. The target of wall "
-                "time is for two idle cores.", "",
-                *_head(["family", "sizes in their 95 % intervals", "wall time [s]", "processor time [s]"])]
-    for family in (*FAMILIES, "all"):
-        own = [a for a in answers if family in (a.case.family, "all")]
-        if own:
-            yield _row([family, _cell(sizes(own)), _times(own, WALL_S), _times(own, CPU_S)])
-    yield _row(["target", "93 to 97 %", "8, 20, 40", "-"])
+                "time is for two idle cores.", ""]
+    yield from table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
+        *((family, _cell(sizes(own)), _times(own, "wall_s"), _times(own, "cpu_s"))
+          for family, own in _families(answers)), "target | 93 to 97 % | 8, 20, 40 | -"])
 
 
 def _times(answers: Iterable[Answer], key: str) -> str:
     values = [a.document["bench"][key] for a in answers if key in a.document["bench"]]
-    if not values:
-        return "-"
-    return f"{np.median(values):.0f}, {np.quantile(values, 0.95):.0f}, {max(values):.0f}"
+    return "{:.0f}, {:.0f}, {:.0f}".format(*np.quantile(values, (0.5, 0.95, 1.0))) if values else "-"
 
 
 def _not_right(answers: Sequence[Answer]) -> Iterator[str]:
     wrong = [a for a in answers if not a.right]
-    yield from ["", "## Cases that are not right", "",
+    yield from ["## Cases that are not right", "",
                 f"{len(answers) - len(wrong)} of {len(answers)} are right. Material singles and pairs must be named "
-                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors.", "",
-                *_head(["family", "case", "answer", "error before", "after"])]
-    for a in sorted(wrong, key=lambda a: (list(FAMILIES).index(a.case.family), a.case.name)):
-        error = a.document.get("error") or {}
-        yield _row([a.case.family, a.case.name, _said(a), *(_number(error.get(k)) for k in ("before", "after"))])
+                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors.", ""]
+    yield from table("family | case | answer | error before | after", (
+        (a.case.family, a.case.name, _said(a), *(
+            "-" if value is None else f"{value:.2f}"
+            for value in (a.before, (a.document.get("error") or {}).get("after"))))
+        for a in sorted(wrong, key=lambda a: (list(FAMILIES).index(a.case.family), a.case.name))))
 
 
 def _said(answer: Answer) -> str:
@@ -311,17 +305,5 @@ def _said(answer: Answer) -> str:
     return f"{o.said} ({answer.document['bench']['said']})" if o.verdict == "fit_failed" else o.said
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
 def _cell(one: Rate) -> str:
     return str(one) if one.count else "-"
-
-
-def _head(titles: Sequence[str]) -> list[str]:
-    return [_row(titles), _row(["---"] * len(titles))]
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"

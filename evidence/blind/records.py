@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from evidence.blind.score import PRESENT, Outcome, Rate, same
+from evidence.blind.score import PRESENT, Outcome, same
 from evidence.blind.servo import effect, is_made
+from evidence.frame import share, table
 from tests.support.paths import REAL, ROOT
 
 RIGS = ROOT / "studies/rigs"
@@ -143,7 +144,7 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         record, fault = o.truth["name"].rsplit("-", 1)[0].split(".")
         before = plain.get(record)
         if before is None:
-            rows.append(f"| {record} | {fault} | no answer yet | {o.said} | - | - | - |")
+            rows.append((record, fault, "no answer yet", o.said, "-", "-", "-"))
             continue
         size, told = next(iter(o.hidden[0]["sizes"].values()), None), _size(o, o.hidden[0])
         already = size_before(answers[before.truth["name"]], o.hidden[0])
@@ -154,13 +155,12 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         size_found = "-" if told is None else f"{told[0]:.3g} [{told[1]:.3g}, {told[2]:.3g}]"
         error = answers[o.truth["name"]].get("error")
         errors = "-" if not error else f"{error['before']:.2f}, {error['after']:.2f}"
-        rows.append(f"| {record} | {fault} | {before.said} | {o.said} | {put_in} | {size_found} | {errors} |")
-    found = [one for own in by_record.values() for one in own]
-    return ["| | measured |", "| --- | --- |", f"| named or in the set | {Rate(sum(found), len(found))} |",
-            *(f"| of these on {one} | {Rate(sum(own), len(own))} |" for one, own in sorted(by_record.items())),
-            f"| size inside its 95 % interval | {Rate(sum(sized), len(sized))} |", "",
-            "| record | fault | untouched | spoilt | there + put in | found | rms error before, after |",
-            "| --- | --- | --- | --- | --- | --- | --- |", *rows]
+        rows.append((record, fault, before.said, o.said, put_in, size_found, errors))
+    return [*table(" | measured", [
+        ("named or in the set", share(one for own in by_record.values() for one in own)),
+        *((f"of these on {one}", share(own)) for one, own in sorted(by_record.items())),
+        ("size inside its 95 % interval", share(sized))]),
+        *table("record | fault | untouched | spoilt | there + put in | found | rms error before, after", rows)]
 
 
 def is_found(spoilt: Outcome, plain: Outcome, inside: bool | None) -> bool:

@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, Protocol
+from typing import Any
+
+from evidence.blind.plan import PlannedCase
 
 LIMIT_S = 900.0
-POLL_S = 0.02
 COMMAND = (sys.executable, "-m", "experiments.cli")
 # The command itself can leave no effect out, nor should it: a process of the bench takes one from the library first.
 WITHOUT = """
@@ -31,20 +31,7 @@ sys.exit(main())
 """
 
 
-class Diagnosable(Protocol):
-    """A folder of runs with a rig file, and the effect that is to be left out of the library where kind says so."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def kind(self) -> str: ...
-
-    @property
-    def effects(self) -> tuple[str, ...]: ...
-
-
-def command_of(case: Diagnosable, cases: Path, answer: Path, share: int = 1) -> list[str]:
+def command_of(case: PlannedCase, cases: Path, answer: Path, share: int = 1) -> list[str]:
     """The command line that diagnoses a case on `share` processes."""
     folder = cases / case.name
     without = [sys.executable, "-c", WITHOUT, case.effects[0]] if case.kind == "deleted" else list(COMMAND)
@@ -53,7 +40,7 @@ def command_of(case: Diagnosable, cases: Path, answer: Path, share: int = 1) -> 
             "--workers", str(share)]
 
 
-def diagnose(case: Diagnosable, cases: Path, out: Path, limit_s: float = LIMIT_S, share: int = 1) -> dict[str, Any]:
+def diagnose(case: PlannedCase, cases: Path, out: Path, limit_s: float = LIMIT_S, share: int = 1) -> dict[str, Any]:
     """The diagnosis JSON of one case, kept in `out`; its `bench` has exit status, wall and processor time [s] and the
     last words on stderr.
 
@@ -78,7 +65,7 @@ def failed(said: str, status: int | None = None) -> dict[str, Any]:
     return {"verdict": "fit_failed", "causes": [], "bench": {"status": status, "crashed": True, "said": said}}
 
 
-def keep(found: dict[str, Any], case: Diagnosable, out: Path) -> None:
+def keep(found: dict[str, Any], case: PlannedCase, out: Path) -> None:
     """Write the answer of a case, whole or not at all."""
     part = out / f"{case.name}.part"
     part.write_text(json.dumps(found, indent=1), encoding="utf-8")
@@ -96,7 +83,7 @@ def _finish(command: list[str], limit_s: float) -> tuple[int | None, str, float]
             if not late and time.monotonic() > end:
                 late = True
                 os.killpg(process.pid, signal.SIGKILL)
-            time.sleep(POLL_S)
+            time.sleep(0.02)
         process.returncode = os.waitstatus_to_exitcode(found[1])
         stderr.seek(0)
         lines = stderr.read().decode(errors="replace").strip().splitlines()
@@ -108,9 +95,5 @@ def _finish(command: list[str], limit_s: float) -> tuple[int | None, str, float]
 
 def parse_seeds(text: str) -> list[int]:
     """N or A-B, several after commas."""
-    return [seed for part in text.split(",") for seed in _span(part)]
-
-
-def _span(text: str) -> Iterator[int]:
-    low, _, high = text.partition("-")
-    yield from range(int(low), int(high or low) + 1)
+    spans = (part.partition("-") for part in filter(None, text.split(",")))
+    return [seed for low, _, high in spans for seed in range(int(low), int(high or low) + 1)]

@@ -60,7 +60,7 @@ def test_a_real_record_is_spoilt_in_one_column_and_nowhere_else(tmp_path: Path) 
 @pytest.mark.parametrize(("verdict", "before", "now", "found", "inside"), [
     ("named", 0.0, (0.021, 0.018, 0.024), 1, "1/1"), ("named", 0.0, (0.026, 0.023, 0.029), 1, "0/1"),
     ("named", 0.005, (0.026, 0.023, 0.029), 1, "1/1"),  # some was there before
-    ("unexplained", 0.0, (0.021, 0.018, 0.024), 0, "no cases"), ("none", 0.0, None, 0, "no cases")])
+    ("unexplained", 0.0, (0.021, 0.018, 0.024), 0, "-"), ("none", 0.0, None, 0, "-")])
 def test_a_fault_put_in_is_judged_against_the_untouched_record(
         verdict: str, before: float, now: tuple[float, ...] | None, found: int, inside: str) -> None:
     def outcome(name: str, said: str, hidden: list[dict[str, Any]], size: tuple[float, ...] | None) -> Outcome:
@@ -79,7 +79,7 @@ def test_a_spoilt_record_without_its_untouched_one_is_shown_and_not_counted() ->
     hidden = servo.effect("torque_delay", None, delay=0.02)
     spoilt = Outcome({"name": "c0.torque_delay-1", "effects": hidden}, "none", ())
     page = "\n".join(records.compare([spoilt], {"c0.torque_delay-1": {}}))
-    assert "| named or in the set | no cases |" in page and "| c0 | torque_delay | no answer yet | none |" in page
+    assert "| named or in the set | - |" in page and "| c0 | torque_delay | no answer yet | none |" in page
 
 
 def test_a_fault_that_was_named_before_counts_only_where_it_grew_by_what_was_put_in() -> None:
