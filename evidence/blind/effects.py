@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,18 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice((-1.0, 1.0)))
 
 
+def _plain(where: str, key: str, size: str, unit: str, joint: int | None = None, signed: bool = False,
+           outside: bool = False) -> Callable[[str], Maker]:
+    """An effect whose strength, with a drawn sign if `signed`, is its one size and a coefficient of `where`."""
+    def named(name: str) -> Maker:
+        def make(strength: float, rng: np.random.Generator) -> Hidden:
+            value = strength * _sign(rng) if signed else strength
+            more: dict[str, Any] = {where: {key: value}}
+            return Hidden(name, joint, (Size(size, unit, strength if outside else value),), outside=outside, **more)
+        return make
+    return named
+
+
 def stribeck_friction(strength: float, rng: np.random.Generator) -> Hidden:
     speed = rng.uniform(0.15, 0.5)
     return Hidden("stribeck_friction", 2, (Size("excess_torque", "N m", strength),
@@ -62,14 +75,6 @@ def asymmetric_friction(strength: float, rng: np.random.Generator) -> Hidden:
     return Hidden("asymmetric_friction", 2, (Size("coulomb_difference", "N m", strength),
                                              Size("viscous_difference", "N m s/rad", float(viscous))),
                   plant={"asymmetry2": strength, "asymmetric_drag2": float(viscous)})
-
-
-def load_dependent_friction(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("load_dependent_friction", 2, (Size("coefficient", "1", strength),), plant={"load2": strength})
-
-
-def presliding_friction(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("presliding_friction", 2, (Size("deflection", "rad", strength),), plant={"bristle2": strength})
 
 
 def quadratic_drag(strength: float, rng: np.random.Generator) -> Hidden:
@@ -154,24 +159,6 @@ def torque_saturation(strength: float, rng: np.random.Generator) -> Hidden:
                   drive={"saturation": 1.0 / strength})
 
 
-def torque_delay(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("torque_delay", None, (Size("delay", "s", strength),), drive={"delay": strength})
-
-
-def sensor_time_skew(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("sensor_time_skew", None, (Size("skew", "s", strength),), sense={"skew": strength})
-
-
-def gyro_bias(strength: float, rng: np.random.Generator) -> Hidden:
-    value = strength * _sign(rng)
-    return Hidden("gyro_bias", None, (Size("bias", "rad/s", value),), sense={"gyro_bias": value})
-
-
-def gyro_scale(strength: float, rng: np.random.Generator) -> Hidden:
-    value = strength * _sign(rng)
-    return Hidden("gyro_scale", None, (Size("scale", "1", value),), sense={"gyro_scale": value})
-
-
 def accelerometer_bias(strength: float, rng: np.random.Generator) -> Hidden:
     angle = rng.uniform(0, 2 * np.pi)
     x, y = strength * np.cos(angle), strength * np.sin(angle)
@@ -185,21 +172,6 @@ def imu_misalignment(strength: float, rng: np.random.Generator) -> Hidden:
     return Hidden("imu_misalignment", None, (Size("angle", "rad", -value),), sense={"misalignment": value})
 
 
-def imu_lever_arm(strength: float, rng: np.random.Generator) -> Hidden:
-    value = strength * _sign(rng)
-    return Hidden("imu_lever_arm", None, (Size("error", "m", value),), sense={"lever": value})
-
-
-def encoder_offset(strength: float, rng: np.random.Generator) -> Hidden:
-    value = strength * _sign(rng)
-    return Hidden("encoder_offset", 2, (Size("offset", "rad", value),), sense={"encoder_offset": value})
-
-
-def encoder_scale(strength: float, rng: np.random.Generator) -> Hidden:
-    value = strength * _sign(rng)
-    return Hidden("encoder_scale", 2, (Size("scale", "1", value),), sense={"encoder_scale": value})
-
-
 def encoder_eccentricity(strength: float, rng: np.random.Generator) -> Hidden:
     phase = rng.uniform(0, 2 * np.pi)
     return Hidden("encoder_eccentricity", 2, (Size("amplitude", "rad", strength), Size("phase", "rad", phase)),
@@ -207,11 +179,6 @@ def encoder_eccentricity(strength: float, rng: np.random.Generator) -> Hidden:
 
 
 # ---- outside the library -------------------------------------------------------------------------------------
-
-
-def gyro_g_sensitivity(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("gyro_g_sensitivity", None, (Size("coefficient", "rad/s per m/s^2", strength),),
-                  sense={"gyro_g": strength * _sign(rng)}, outside=True)
 
 
 def swaying_gravity(strength: float, rng: np.random.Generator) -> Hidden:
@@ -234,17 +201,6 @@ def cable_hysteresis(strength: float, rng: np.random.Generator) -> Hidden:
                   also=(("presliding_friction", 1), ("joint_stiffness", 1)), outside=True)
 
 
-def magnetic_gyro(strength: float, rng: np.random.Generator) -> Hidden:
-    """The motor's current reaches the gyro."""
-    return Hidden("magnetic_gyro", None, (Size("coefficient", "rad/s per N m", strength),),
-                  sense={"gyro_torque": strength * _sign(rng)}, outside=True)
-
-
-def torque_dead_band(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("torque_dead_band", None, (Size("half_width", "N m", strength),), drive={"dead_band": strength},
-                  outside=True)
-
-
 def encoder_interpolation(strength: float, rng: np.random.Generator) -> Hidden:
     return Hidden("encoder_interpolation", 2, (Size("amplitude", "rad", strength),),
                   sense={"interpolation": strength, "interpolation_order": float(rng.integers(8, 17)),
@@ -258,40 +214,39 @@ def angle_dependent_friction(strength: float, rng: np.random.Generator) -> Hidde
                          "angle_phase": rng.uniform(0, 6.28)}, outside=True)
 
 
-def gyro_cubic(strength: float, rng: np.random.Generator) -> Hidden:
-    return Hidden("gyro_cubic", None, (Size("coefficient", "s^2/rad^2", strength),),
-                  sense={"gyro_cubic": strength * _sign(rng)}, outside=True)
-
-
 def loose_payload(strength: float, rng: np.random.Generator) -> Hidden:
     """A part of link 2 falls off between the fourth and the fifth run."""
     return Hidden("loose_payload", None, (Size("share", "1", strength),), leg={"m2": 1.0 - strength}, outside=True)
 
 
-def torque_gain_drift(strength: float, rng: np.random.Generator) -> Hidden:
-    """The magnets warm up: torque per ampere falls over the session."""
-    return Hidden("torque_gain_drift", None, (Size("share", "1", strength),), drive={"gain_drift": strength},
-                  outside=True)
-
-
-def knee_drags_pivot(strength: float, rng: np.random.Generator) -> Hidden:
-    """A hose from knee to frame: the knee's rate brakes the pivot."""
-    return Hidden("knee_drags_pivot", 1, (Size("coefficient", "N m s/rad", strength),),
-                  plant={"cross_damping": strength}, outside=True)
-
-
-_ALL: tuple[Maker, ...] = (
-    stribeck_friction, asymmetric_friction, load_dependent_friction, presliding_friction, quadratic_drag,
-    friction_drift, joint_stiffness, joint_elasticity, backlash, rotor_inertia, end_stop_contact, base_compliance,
-    torque_ripple, torque_offset, torque_saturation, torque_delay, sensor_time_skew, gyro_bias, gyro_scale,
-    accelerometer_bias, imu_misalignment, imu_lever_arm, encoder_offset, encoder_scale, encoder_eccentricity)
-_OUTSIDE: tuple[Maker, ...] = (
-    gyro_g_sensitivity, swaying_gravity, sloshing_payload, cable_hysteresis, magnetic_gyro, torque_dead_band,
-    encoder_interpolation, angle_dependent_friction, gyro_cubic, loose_payload, torque_gain_drift, knee_drags_pivot)
-MAKERS: dict[str, Maker] = {f.__name__: f for f in (*_ALL, *_OUTSIDE)}
-INSIDE = tuple(f.__name__ for f in _ALL)
-OUTSIDE = tuple(f.__name__ for f in _OUTSIDE)
-
+PLAIN: dict[str, Callable[[str], Maker]] = {
+    "load_dependent_friction": _plain("plant", "load2", "coefficient", "1", 2),
+    "presliding_friction": _plain("plant", "bristle2", "deflection", "rad", 2),
+    "torque_delay": _plain("drive", "delay", "delay", "s"), "sensor_time_skew": _plain("sense", "skew", "skew", "s"),
+    "gyro_bias": _plain("sense", "gyro_bias", "bias", "rad/s", signed=True),
+    "gyro_scale": _plain("sense", "gyro_scale", "scale", "1", signed=True),
+    "imu_lever_arm": _plain("sense", "lever", "error", "m", signed=True),
+    "encoder_offset": _plain("sense", "encoder_offset", "offset", "rad", 2, signed=True),
+    "encoder_scale": _plain("sense", "encoder_scale", "scale", "1", 2, signed=True),
+    "gyro_g_sensitivity": _plain("sense", "gyro_g", "coefficient", "rad/s per m/s^2", signed=True, outside=True),
+    # the motor's current reaches the gyro
+    "magnetic_gyro": _plain("sense", "gyro_torque", "coefficient", "rad/s per N m", signed=True, outside=True),
+    "gyro_cubic": _plain("sense", "gyro_cubic", "coefficient", "s^2/rad^2", signed=True, outside=True),
+    "torque_dead_band": _plain("drive", "dead_band", "half_width", "N m", outside=True),
+    # the magnets warm up: torque per ampere falls over the session
+    "torque_gain_drift": _plain("drive", "gain_drift", "share", "1", outside=True),
+    # a hose from knee to frame: the knee's rate brakes the pivot
+    "knee_drags_pivot": _plain("plant", "cross_damping", "coefficient", "N m s/rad", 1, outside=True)}
+INSIDE = ("stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction",
+          "quadratic_drag", "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia",
+          "end_stop_contact", "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay",
+          "sensor_time_skew", "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm",
+          "encoder_offset", "encoder_scale", "encoder_eccentricity")
+OUTSIDE = ("gyro_g_sensitivity", "swaying_gravity", "sloshing_payload", "cable_hysteresis", "magnetic_gyro",
+           "torque_dead_band", "encoder_interpolation", "angle_dependent_friction", "gyro_cubic", "loose_payload",
+           "torque_gain_drift", "knee_drags_pivot")
+MAKERS: dict[str, Maker] = {name: PLAIN[name](name) if name in PLAIN else globals()[name]
+                            for name in (*INSIDE, *OUTSIDE)}
 # what a leg must have for an effect to matter on it: factors on its parameters
 NEEDS: dict[str, dict[str, float]] = {"presliding_friction": {"coulomb2": 3.0}}
 SMALLEST: dict[str, float] = {"joint_elasticity": 1 / 500}

@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numba import njit
 
-from evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, effect, is_made, reference, write_case
+from evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, is_made, reference, truth_of, write_case
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
 TICK_S, INNER = 1e-3, 40
@@ -35,33 +34,31 @@ SMALL = {"gyro_bias": 1e-3, "gyro_scale": 2e-3, "accel_bias": 0.01, "tilt": 1.5e
 
 @dataclass
 class Hidden:
-    """One effect beside the small ones: strengths of laws, of faults in what is logged, and the truth."""
+    """One effect beside the small ones: strengths of laws, and of faults in what is logged."""
 
     laws: dict[str, float] = field(default_factory=dict)
     faults: dict[str, float] = field(default_factory=dict)
-    truth: list[dict[str, Any]] = field(default_factory=list)
 
 
 MAKERS: dict[str, Callable[[float], Hidden]] = {
     "none": lambda s: Hidden(),
     "none_wandering": lambda s: Hidden({"wander": 0.012 * s}),
-    "joint_stiffness": lambda s: Hidden({"spring": 0.35 * s}, truth=effect("joint_stiffness", 2)),
-    "quadratic_drag": lambda s: Hidden({"drag": 0.03 * s}, truth=effect("quadratic_drag", 2)),
-    "asymmetric_friction": lambda s: Hidden({"asymmetry": 0.08 * s}, truth=effect("asymmetric_friction", 2)),
-    "torque_ripple": lambda s: Hidden({"ripple": 0.08 * s}, truth=effect("torque_ripple", 2)),
-    "stribeck_friction": lambda s: Hidden({"stribeck": 0.15 * s}, truth=effect("stribeck_friction", 2)),
-    "load_dependent_friction": lambda s: Hidden({"load": 0.12 * s}, truth=effect("load_dependent_friction", 2)),
-    "torque_saturation": lambda s: Hidden({"saturation": 0.4 * s}, truth=effect("torque_saturation")),
-    "torque_offset": lambda s: Hidden(faults={"torque_offset": 0.06 * s}, truth=effect("torque_offset")),
-    "torque_delay": lambda s: Hidden(faults={"delay": 6e-3 * s}, truth=effect("torque_delay")),
-    "sensor_time_skew": lambda s: Hidden(faults={"skew": 4e-3 * s}, truth=effect("sensor_time_skew")),
-    "gyro_bias": lambda s: Hidden(faults={"gyro_bias": 0.03 * s}, truth=effect("gyro_bias")),
-    "gyro_scale": lambda s: Hidden(faults={"gyro_scale": 0.03 * s}, truth=effect("gyro_scale")),
-    "accelerometer_bias": lambda s: Hidden(faults={"accel_bias": 0.25 * s}, truth=effect("accelerometer_bias")),
-    "imu_misalignment": lambda s: Hidden(faults={"tilt": 0.03 * s}, truth=effect("imu_misalignment")),
-    "encoder_offset": lambda s: Hidden(faults={"encoder_offset": 0.03 * s}, truth=effect("encoder_offset", 2)),
-    "encoder_eccentricity": lambda s: Hidden(faults={"eccentricity": 0.04 * s},
-                                             truth=effect("encoder_eccentricity", 2)),
+    "joint_stiffness": lambda s: Hidden({"spring": 0.35 * s}),
+    "quadratic_drag": lambda s: Hidden({"drag": 0.03 * s}),
+    "asymmetric_friction": lambda s: Hidden({"asymmetry": 0.08 * s}),
+    "torque_ripple": lambda s: Hidden({"ripple": 0.08 * s}),
+    "stribeck_friction": lambda s: Hidden({"stribeck": 0.15 * s}),
+    "load_dependent_friction": lambda s: Hidden({"load": 0.12 * s}),
+    "torque_saturation": lambda s: Hidden({"saturation": 0.4 * s}),
+    "torque_offset": lambda s: Hidden(faults={"torque_offset": 0.06 * s}),
+    "torque_delay": lambda s: Hidden(faults={"delay": 6e-3 * s}),
+    "sensor_time_skew": lambda s: Hidden(faults={"skew": 4e-3 * s}),
+    "gyro_bias": lambda s: Hidden(faults={"gyro_bias": 0.03 * s}),
+    "gyro_scale": lambda s: Hidden(faults={"gyro_scale": 0.03 * s}),
+    "accelerometer_bias": lambda s: Hidden(faults={"accel_bias": 0.25 * s}),
+    "imu_misalignment": lambda s: Hidden(faults={"tilt": 0.03 * s}),
+    "encoder_offset": lambda s: Hidden(faults={"encoder_offset": 0.03 * s}),
+    "encoder_eccentricity": lambda s: Hidden(faults={"eccentricity": 0.04 * s}),
     # no effect of the library does these
     "outside_cubic_spring": lambda s: Hidden({"cubic": 0.5 * s}),
     "outside_patchy_friction": lambda s: Hidden({"patchy": 0.12 * s}),
@@ -153,7 +150,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
     leg, dry, runs = record([hidden] * RUNS, rng)
-    write_case(name, seed, out, runs, rng, leg, RIG, hidden.truth, dry)
+    write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
 
 
 def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:

@@ -63,8 +63,25 @@ class Plant:
     law: Law = lambda q, v, u, t: (0.0, 0.0)
     logged: Callable[[dict[str, np.ndarray]], None] = lambda columns: None
     late_s: dict[str, float] = field(default_factory=dict)
-    truth: list[dict[str, Any]] = field(default_factory=list)
-    """Effects with joint and size; empty where nothing is hidden that the library knows."""
+
+
+KNEE = ("joint_stiffness", "quadratic_drag", "asymmetric_friction", "stribeck_friction", "load_dependent_friction",
+        "torque_ripple", "encoder_offset", "encoder_scale", "encoder_eccentricity", "end_stop_contact",
+        "friction_drift")
+"""Effects of joint 2; the others are of the rig."""
+SIZES = {"rotor_inertia": {"inertia": 0.006}, "torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.006},
+         "sensor_time_skew": {"skew": 0.004}, "gyro_bias": {"bias": 0.03}, "gyro_scale": {"scale": 0.03},
+         "encoder_offset": {"offset": 0.03}, "encoder_scale": {"scale": 0.03}}
+"""Of ordinary strength, where the library's law has the same size."""
+
+
+def truth_of(name: str, strength: float = 1.0, sizes: Mapping[str, Mapping[str, float]] = SIZES
+             ) -> list[dict[str, Any]]:
+    """What is hidden, with joint and sizes; nothing where the library does not know it."""
+    if name.startswith(("none", "outside")):
+        return []
+    return effect(name, 2 if name in KNEE else None,
+                  **{size: strength * value for size, value in sizes.get(name, {}).items()})
 
 
 def effect(name: str, joint: int | None = None, **sizes: float) -> list[dict[str, Any]]:
@@ -98,45 +115,32 @@ def _disc(depth: float) -> Callable[[dict[str, np.ndarray]], None]:
 
 MAKERS: dict[str, Callable[[float], Plant]] = {
     "none": lambda s: Plant(),
-    "joint_stiffness": lambda s: Plant(spring=((0.0, 0.0), (0.35 * s, 0.2)), truth=effect("joint_stiffness", 2)),
-    "rotor_inertia": lambda s: Plant(armature=0.006 * s, truth=effect("rotor_inertia", None, inertia=0.006 * s)),
-    "quadratic_drag": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.03 * s * v[1] * abs(v[1]) ** 0.9),
-                                      truth=effect("quadratic_drag", 2)),
-    "asymmetric_friction": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.08 * s * max(_sign(v[1]), 0.0)),
-                                           truth=effect("asymmetric_friction", 2)),
+    "joint_stiffness": lambda s: Plant(spring=((0.0, 0.0), (0.35 * s, 0.2))),
+    "rotor_inertia": lambda s: Plant(armature=0.006 * s),
+    "quadratic_drag": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.03 * s * v[1] * abs(v[1]) ** 0.9)),
+    "asymmetric_friction": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.08 * s * max(_sign(v[1]), 0.0))),
     "stribeck_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12)),
-        truth=effect("stribeck_friction", 2)),
+        law=lambda q, v, u, t: (0.0, -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12))),
     "load_dependent_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.12 * s * abs(u) * _sign(v[1])), truth=effect("load_dependent_friction", 2)),
+        law=lambda q, v, u, t: (0.0, -0.12 * s * abs(u) * _sign(v[1]))),
     "torque_ripple": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1]))),
-        truth=effect("torque_ripple", 2)),
-    "torque_offset": lambda s: Plant(logged=_scaled("tau2_nm", 1.0, 0.06 * s),
-                                     truth=effect("torque_offset", None, offset=0.06 * s)),
+        law=lambda q, v, u, t: (0.0, 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1])))),
+    "torque_offset": lambda s: Plant(logged=_scaled("tau2_nm", 1.0, 0.06 * s)),
     "torque_saturation": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u),
-        truth=effect("torque_saturation", None)),
-    "torque_delay": lambda s: Plant(late_s={"tau2_nm": 0.006 * s}, truth=effect("torque_delay", None, delay=6e-3 * s)),
+        law=lambda q, v, u, t: (0.0, u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u)),
+    "torque_delay": lambda s: Plant(late_s={"tau2_nm": 0.006 * s}),
     "sensor_time_skew": lambda s: Plant(
-        late_s={k: 0.004 * s for k in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")},
-        truth=effect("sensor_time_skew", None, skew=4e-3 * s)),
-    "gyro_bias": lambda s: Plant(logged=_scaled("gyro_radps", 1.0, 0.03 * s),
-                                 truth=effect("gyro_bias", None, bias=0.03 * s)),
-    "gyro_scale": lambda s: Plant(logged=_scaled("gyro_radps", 1.0 + 0.03 * s),
-                                  truth=effect("gyro_scale", None, scale=0.03 * s)),
-    "accelerometer_bias": lambda s: Plant(logged=_scaled("accel_x_mps2", 1.0, 0.25 * s),
-                                          truth=effect("accelerometer_bias", None)),
-    "imu_misalignment": lambda s: Plant(logged=_tilted(0.03 * s), truth=effect("imu_misalignment", None)),
-    "encoder_offset": lambda s: Plant(logged=_scaled("q2_rad", 1.0, 0.03 * s),
-                                      truth=effect("encoder_offset", 2, offset=0.03 * s)),
-    "encoder_scale": lambda s: Plant(logged=_scaled("q2_rad", 1.0 + 0.03 * s),
-                                     truth=effect("encoder_scale", 2, scale=0.03 * s)),
-    "encoder_eccentricity": lambda s: Plant(logged=_disc(0.04 * s), truth=effect("encoder_eccentricity", 2)),
-    "end_stop_contact": lambda s: Plant(limit=0.75 / s, truth=effect("end_stop_contact", 2)),
-    "friction_drift": lambda s: Plant(friction_now=lambda t: 1.0 + 1.5 * s * np.exp(-t / 70.0),
-                                      truth=effect("friction_drift", 2)),
-    "base_compliance": lambda s: Plant(base_n_per_m=6000.0 / s, truth=effect("base_compliance", None)),
+        late_s={k: 0.004 * s for k in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")}),
+    "gyro_bias": lambda s: Plant(logged=_scaled("gyro_radps", 1.0, 0.03 * s)),
+    "gyro_scale": lambda s: Plant(logged=_scaled("gyro_radps", 1.0 + 0.03 * s)),
+    "accelerometer_bias": lambda s: Plant(logged=_scaled("accel_x_mps2", 1.0, 0.25 * s)),
+    "imu_misalignment": lambda s: Plant(logged=_tilted(0.03 * s)),
+    "encoder_offset": lambda s: Plant(logged=_scaled("q2_rad", 1.0, 0.03 * s)),
+    "encoder_scale": lambda s: Plant(logged=_scaled("q2_rad", 1.0 + 0.03 * s)),
+    "encoder_eccentricity": lambda s: Plant(logged=_disc(0.04 * s)),
+    "end_stop_contact": lambda s: Plant(limit=0.75 / s),
+    "friction_drift": lambda s: Plant(friction_now=lambda t: 1.0 + 1.5 * s * np.exp(-t / 70.0)),
+    "base_compliance": lambda s: Plant(base_n_per_m=6000.0 / s),
     # no effect of the library does these
     "outside_cubic_spring": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.35 * s * (q[1] - 0.1) ** 3)),
     "outside_patchy_friction": lambda s: Plant(
@@ -212,11 +216,12 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
     if is_made(name, seed, out):
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed])
-    plant = makers[name](strength * rng.uniform(0.85, 1.15))
+    strength *= rng.uniform(0.85, 1.15)
+    plant = makers[name](strength)
     leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
     dry = rng.uniform(0.02, 0.08)
     runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", plant.truth, dry)
+    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", truth_of(name, strength), dry)
 
 
 def is_made(name: str, seed: int, out: Path) -> bool:

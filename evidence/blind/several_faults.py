@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import GEAR, MAKERS, RUNS, Plant, is_made, record, write_case
+from evidence.blind.servo import GEAR, MAKERS, RUNS, Plant, is_made, record, truth_of, write_case
 from tests.support.mujoco_leg import random_leg
 
 TEN = {"joint_stiffness": 0.02, "quadratic_drag": 0.02, "asymmetric_friction": 0.02, "torque_ripple": 0.05,
@@ -50,8 +50,7 @@ def together(plants: Sequence[Plant]) -> Plant:
 
     return Plant(spring=((stiff[0], at[0]), (stiff[1], at[1])), armature=sum(p.armature for p in plants),
                  limit=sum(p.limit for p in plants), base_n_per_m=sum(p.base_n_per_m for p in plants),
-                 friction_now=friction_now, law=law, logged=logged, late_s=late,
-                 truth=[e for p in plants for e in p.truth])
+                 friction_now=friction_now, law=law, logged=logged, late_s=late)
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
@@ -68,9 +67,11 @@ def _make(name: str, seed: int, out: Path, always: Mapping[str, float]) -> None:
     if is_made(name, seed, out):
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed, 7])
-    hidden = together([MAKERS[n](rng.uniform(0.85, 1.15)) for n in name.split("+")])
+    strengths = {n: rng.uniform(0.85, 1.15) for n in name.split("+")}
+    hidden = together([MAKERS[n](strength) for n, strength in strengths.items()])
     small = [MAKERS[n](share * rng.uniform(0.7, 1.3)) for n, share in always.items() if n != name]
     plant = together([hidden, *small])
+    truth = [one for n, strength in strengths.items() for one in truth_of(n, strength)]
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
     runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", hidden.truth, dry)
+    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", truth, dry)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import effect, is_made, write_case
+from evidence.blind.servo import is_made, truth_of, write_case
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.stick_slip_leg import PEAK_NM, TICK_S, Motion, move
 
@@ -76,13 +76,10 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
     if is_made(name, seed, out):
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed, 3])
-    maker, joint = MAKERS[name]
     strength *= rng.uniform(0.85, 1.15)
-    change = maker(strength)
+    change = MAKERS[name][0](strength)
     leg, dry, runs = record([change] * RUNS, rng)
-    hidden = [] if name == "none" or name.startswith("outside") else effect(
-        name, joint, **{size: strength * value for size, value in SIZES.get(name, {}).items()})
-    write_case(name, seed, out, runs, rng, leg, "", hidden, dry)
+    write_case(name, seed, out, runs, rng, leg, "", truth_of(name, strength, SIZES), dry)
 
 
 def record(changes: Sequence[Callable[[Readings], None]], rng: np.random.Generator

@@ -155,4 +155,4 @@ def test_a_cause_outside_the_library_acts_and_has_no_name(name: str) -> None:
     before = {k: v.copy() for k, v in columns.items()}
     plant.logged(columns)
     reads = any(not np.array_equal(columns[k], before[k]) for k in columns)
-    assert reads != any(np.any(plant.law(*state)) for state in states) and not plant.truth
+    assert reads != any(np.any(plant.law(*state)) for state in states) and not servo.truth_of(name)
