@@ -6,7 +6,6 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,6 @@ from estimator.likelihood import free_run
 from estimator.loops import law_checks
 from estimator.options import FitOptions
 from estimator.prediction import smooth
-from evidence.frame import table
 from evidence.kept import kept
 from experiments.documents import finite
 from experiments.models import build_mechanism, mechanism_settings
@@ -69,12 +67,12 @@ def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
 
 
 @kept
-def fits() -> dict[str, tuple[FittedModel, FloatArray]]:
-    """Estimator to our model of the train runs, and half of the 95 % interval of each parameter, in volts."""
+def fits() -> dict[str, FittedModel]:
+    """Estimator to our model of the train runs, in volts."""
     rig, train, found = load_rig(RIG), records(TRAIN), {}
     for method in ("wls", "mle"):
         result = legid.fit(train, rig, choose=False, method=method).estimate  # values, open or not
-        found[method] = FittedModel(result.mechanism, rig.sampling.hold, result.beta), 1.96 * result.std
+        found[method] = FittedModel(result.mechanism, rig.sampling.hold, result.beta)
     return found
 
 
@@ -96,37 +94,10 @@ def errors() -> dict[str, list[float]]:
     (check,) = law_checks(test, build_mechanism(mechanism_settings(load_rig(RIG))))
     out: dict[str, list[float]] = {}
     for run, gain in zip(test, check.after.gains):
-        ours = {f"legid, {name}: Coulomb and viscous": model for name, (model, _) in fits().items()}
+        ours = {f"legid, {name}: Coulomb and viscous": model for name, model in fits().items()}
         ours |= {f"legid, mle: and {name}": extended(name) for name in EFFECTS}
         for name, model in ours.items():
             out.setdefault(name, []).append(_rms(closed(model, run, float(gain)) - run["q1_rad"]))
-    return out
-
-
-def in_volts(p: Mapping[str, float]) -> tuple[float, float, float]:
-    """Inertia, first moment and viscous friction of BAM's values as ours are, over the motor's R / kt."""
-    scale = p["R"] / p["kt"]
-    return (scale * (MASS_KG * ARM_M**2 + p["armature"]), scale * MASS_KG * ARM_M,
-            p["kt"] + scale * p["friction_viscous"])
-
-
-def _std(model: FittedModel) -> FloatArray:
-    """(m,) of all parameters, by noise alone."""
-    assert model.covariance is not None
-    return np.sqrt(np.diag(model.covariance))
-
-
-def shares() -> dict[str, tuple[float, float, float, float]]:
-    """BAM's names of friction by load in motion -> what the directional law finds with its 95 % interval, lowest first,
-    and m6's published value."""
-    model, p = extended("directional_load_friction"), PUBLISHED["m6"]
-    (k, _, share, _), at = model.parameters[model.mechanism.p :], [model.mechanism.p, model.mechanism.p + 2]
-    assert model.covariance is not None
-    out = {}
-    for name, value, slope in (("load_friction_motor", k * (1.0 - share), np.array([1.0 - share, -k])),
-                               ("load_friction_external", k * share, np.array([share, k]))):
-        half = 1.96 * float(np.sqrt(slope @ model.covariance[np.ix_(at, at)] @ slope))
-        out[name] = float(value - half), float(value), float(value + half), p[name]
     return out
 
 
@@ -142,12 +113,3 @@ def diagnosis() -> tuple[str, tuple[str, ...], tuple[float, float] | None]:
 def _rms(x: FloatArray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
-
-def parameters() -> Iterator[str]:
-    """Lines of the page on parameters in volts."""
-    ours = {f"legid, {name}": (model, half[:3]) for name, (model, half) in fits().items()}
-    ours |= {f"legid, mle: and {name}": (extended(name), 1.96 * _std(extended(name))[:3]) for name in EFFECTS}
-    yield from table("model, in volts | inertia | first moment | viscous, back-EMF included", [
-        *((name, *(f"{v:.3g} ± {h:.2g}" for v, h in zip(model.beta[:3], half)))
-          for name, (model, half) in ours.items()),
-        *((f"BAM {name}", *(f"{v:.3g}" for v in in_volts(p))) for name, p in PUBLISHED.items())])

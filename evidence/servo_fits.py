@@ -15,23 +15,14 @@ from scipy.optimize import least_squares
 from daq import FloatArray
 
 STEP_S, EVERY, G = 1e-3, 5, 9.81
+MASS_KG, ARM_M = 0.49, 0.1
+"""Of the pendulum on the servo."""
 NAMES = ("strength", "braking", "armature", "offset", "base", "viscous", "stribeck", "speed", "alpha", "motor",
          "external", "motor_stribeck", "external_stribeck", "motor_quad", "external_quad", "delay")
 LAWS = {"Coulomb, viscous (m1)": 6, "and Stribeck (m2)": 9, "and by load (m6)": 15, "and delay": 16}
 """Law -> how many of NAMES it has."""
 BEGIN = np.array([0.09, 0.03, 0.002, 0.02, 0.005, 0.01, 0.004, 1.0, 1.5, 0.2, 0.1, 0.02, 0.05, 0.005, 0.005, 0.003])
 MOST = np.array([1.0, 1.0, 0.02, 0.2, 0.2, 0.2, 0.2, 10.0, 10.0, 0.9, 0.9, 0.9, 0.9, 0.1, 0.1, 0.05])
-
-
-class Servo(NamedTuple):
-    """A servo with a pendulum."""
-
-    mass_kg: float
-    arm_m: float
-    limit_nm: float
-    """Of the torque, damping included; 0: full duty, before back-EMF"""
-    unit: FloatArray
-    """(16,) of NAMES, over BEGIN and MOST"""
 
 
 class Run(NamedTuple):
@@ -46,8 +37,8 @@ class Run(NamedTuple):
 
 
 @njit
-def _simulated(p, goal, volts, on, gain, q, mass, arm, limit):  # type: ignore[no-untyped-def]
-    out, v, inertia, late = np.empty(-(-goal.size // EVERY)), 0.0, mass * arm**2 + p[2], p[15] / STEP_S
+def _simulated(p, goal, volts, on, gain, q):  # type: ignore[no-untyped-def]
+    out, v, inertia, late = np.empty(-(-goal.size // EVERY)), 0.0, MASS_KG * ARM_M**2 + p[2], p[15] / STEP_S
     for k in range(goal.size):
         if k % EVERY == 0:
             out[k // EVERY] = q
@@ -56,11 +47,8 @@ def _simulated(p, goal, volts, on, gain, q, mass, arm, limit):  # type: ignore[n
         told = goal[first] + (at - first) * (goal[min(first + 1, goal.size - 1)] - goal[first])
         if on[k] > 0.5:
             wanted = p[0] * volts[k] * gain * (told - q)
-            if limit > 0.0:
-                motor = min(max(wanted - p[1] * v, -limit), limit)
-            else:
-                motor = min(max(wanted, -p[0] * volts[k]), p[0] * volts[k]) - p[1] * v
-        load = -mass * G * arm * np.sin(q + p[3])
+            motor = min(max(wanted, -p[0] * volts[k]), p[0] * volts[k]) - p[1] * v
+        load = -MASS_KG * G * ARM_M * np.sin(q + p[3])
         near = np.exp(-((abs(v) / p[7]) ** p[8]))
         loss = p[4] + near * p[6] + abs(load * p[10] - motor * p[9]) + near * abs(load * p[12] - motor * p[11])
         if load * motor < 0.0:
@@ -73,33 +61,31 @@ def _simulated(p, goal, volts, on, gain, q, mass, arm, limit):  # type: ignore[n
     return out
 
 
-def errors(p: FloatArray, run: Run, servo: Servo) -> FloatArray:
+def errors(p: FloatArray, run: Run) -> FloatArray:
     """(N,) error [rad] of a free run from the first reading at rest."""
-    found = _simulated(p, run.goal, run.volts, run.on, run.gain, run.angle[0], servo.mass_kg, servo.arm_m,
-                       servo.limit_nm)
+    found = _simulated(p, run.goal, run.volts, run.on, run.gain, run.angle[0])
     return np.clip(np.nan_to_num(found[: run.angle.size] - run.angle, nan=2.0), -2.0, 2.0)
 
 
-def rms(p: FloatArray, runs: Sequence[Run], servo: Servo) -> list[float]:
+def rms(p: FloatArray, runs: Sequence[Run]) -> list[float]:
     """Root mean square of the errors of each run [rad]."""
-    return [float(np.sqrt(np.mean(errors(p, run, servo) ** 2))) for run in runs]
+    return [float(np.sqrt(np.mean(errors(p, run) ** 2))) for run in runs]
 
 
-def fitted(runs: Sequence[Run], servo: Servo, count: int) -> FloatArray:
+def fitted(runs: Sequence[Run], count: int) -> FloatArray:
     """(16,) values of NAMES by the least error of free runs, the first `count` of them free."""
     best, found = np.inf, BEGIN
-    scale = servo.unit
     for sign in (1.0, -1.0):
-        base = np.where(np.arange(16) < count, BEGIN * scale, 0.0)
+        base = np.where(np.arange(16) < count, BEGIN, 0.0)
         base[7:9] = base[7:9] if count > 8 else 1.0
         base[3] *= sign
 
         def left(x: FloatArray, base: FloatArray = base) -> FloatArray:
-            return np.concatenate([errors(np.append(x, base[count:]), run, servo) for run in runs])
+            return np.concatenate([errors(np.append(x, base[count:]), run) for run in runs])
 
         low = np.where(np.arange(count) == 3, -0.2, np.where(np.isin(np.arange(count), (7, 8)), 0.01, 0.0))
         low[0] = 1e-3
-        one = least_squares(left, base[:count], bounds=(low, (MOST * scale)[:count]), loss="soft_l1", f_scale=0.1,
+        one = least_squares(left, base[:count], bounds=(low, MOST[:count]), loss="soft_l1", f_scale=0.1,
                             x_scale=np.maximum(0.5 * np.abs(base[:count]), 1e-4), max_nfev=60, diff_step=[1e-3])
         if one.cost < best:
             best, found = float(one.cost), np.append(one.x, base[count:])
@@ -115,11 +101,6 @@ def run_of(time_s: FloatArray, goal: FloatArray, volts: FloatArray, on: FloatArr
                np.interp(fine[::EVERY], t, angle))
 
 
-def vector(values: Mapping[str, float]) -> FloatArray:
-    """(16,) values by NAMES."""
-    return np.array([values.get(name, 1.0 if name in ("speed", "alpha") else 0.0) for name in NAMES])
-
-
 def published(values: Mapping[str, float], sign: float) -> FloatArray:
     """(16,) values of the XL330 as BAM publishes them."""
     strength = values["kt"] / values["R"]
@@ -129,6 +110,6 @@ def published(values: Mapping[str, float], sign: float) -> FloatArray:
             "motor_stribeck": "load_friction_motor_stribeck", "external_stribeck": "load_friction_external_stribeck",
             "motor_quad": "load_friction_motor_quad", "external_quad": "load_friction_external_quad"}
     own = {name: values[key] for name, key in same.items() if key in values}
-    return vector({"strength": strength, "braking": strength * values["kt"], "offset": sign * values["q_offset"],
-                   **own})
+    own |= {"strength": strength, "braking": strength * values["kt"], "offset": sign * values["q_offset"]}
+    return np.array([own.get(name, 1.0 if name in ("speed", "alpha") else 0.0) for name in NAMES])
 

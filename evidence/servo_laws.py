@@ -14,10 +14,8 @@ from estimator.loops import law_checks
 from evidence import servo_bam
 from evidence.frame import Lines, program, table
 from evidence.registry import Evidence
-from evidence.servo_fits import LAWS, Run, Servo, fitted, published, rms, run_of
+from evidence.servo_fits import LAWS, Run, fitted, published, rms, run_of
 from experiments.models import build_mechanism, mechanism_settings
-
-XL330 = Servo(0.49, 0.1, 0.0, np.ones(16))
 
 
 def xl330(kinds: tuple[str, ...]) -> list[Run]:
@@ -36,18 +34,14 @@ def page() -> Lines:
         "Runs of 6 s of an XL330 with a pendulum follow BAM's commands. All laws are fitted to the same runs by the "
         "error of free runs, so the laws alone differ. No fit has seen `sin_time_square`. Published values were found "
         "on other records, which may have these among them.", ""]
-    laws = {f"fitted: {name}": fitted(train, XL330, count) for name, count in LAWS.items()}
+    laws = {f"fitted: {name}": fitted(train, count) for name, count in LAWS.items()}
     laws |= {f"published {name}": min((published(values, sign) for sign in (1.0, -1.0)),
-                                      key=lambda p: sum(rms(p, test, XL330)))
+                                      key=lambda p: sum(rms(p, test)))
              for name, values in servo_bam.PUBLISHED.items()}
     yield from table("law | held out, kp 100 | held out, kp 400 | fitted runs", [
-        *((name, *mrad(rms(p, test, XL330)), *mrad([np.sqrt(np.mean(np.square(rms(p, train, XL330))))]))
+        *((name, *mrad(rms(p, test)), *mrad([np.sqrt(np.mean(np.square(rms(p, train))))]))
           for name, p in laws.items()),
         *((name, *mrad(errors), "-") for name, errors in servo_bam.errors().items())])
-    yield from servo_bam.parameters()
-    yield from table("share of the torque that is friction | legid, directional_load_friction | published m6", (
-        f"{name} | {value:.3g} [{low:.3g}, {high:.3g}] | {theirs:.3g}"
-        for name, (low, value, high, theirs) in servo_bam.shares().items()))
     verdict, causes, error = servo_bam.diagnosis()
     before, after = error or (np.nan, np.nan)
     yield (f"`legid diagnose` of the six fitted runs: `{verdict}`, {', '.join(causes) or 'nothing'}. The "

@@ -21,8 +21,7 @@ from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.cli import main as legid
 from experiments.models import Model, load_model, save_model
-from experiments.simulators import ExportedLeg, draw_models, simulator_files, write_samples
-from experiments.simulators.parts import HELD
+from experiments.simulators import ExportedLeg, draw_models, write_samples
 from tests.support.exported_models import EFFECTS, OPPOSITE, PAIRS, angle_error, model_of
 from tests.support.paths import REAL
 
@@ -108,16 +107,6 @@ def _with_uncertainty(model: Model) -> Model:
     return structs.replace(model, covariance=rows)
 
 
-def held_by(names: Sequence[str], opposite: bool) -> str:
-    """Which of the two files holds the effects."""
-    with TemporaryDirectory() as folder:
-        files = simulator_files(model_of(Path(folder), 1, names, OPPOSITE if opposite else EFFECTS), "m.json", "legid")
-    left = [note for note in files.notes if note.startswith("leg.py applies")]
-    if not left:
-        return "leg.xml"
-    return "leg.xml and leg.py" if any(name in HELD for name in names) and not opposite else "leg.py"
-
-
 def page(legs: int = 3) -> Lines:
     yield from [
         "# Exported models in MuJoCo", "",
@@ -137,8 +126,8 @@ def page(legs: int = 3) -> Lines:
         worst = max(worst, *found)
         told = " and ".join(names) or "none" + (f", smoothing velocity {smoothing:g} rad/s" if smoothing > 0.01 else "")
         told += ", the other sign" if opposite else ""
-        rows.append(f"{told} | {held_by(names, opposite)} | {1e3 * found[0]:.2f} | {1e3 * found[1]:.2f}")
-    yield from table("effects | held by | 1 ms [mrad] | 0.25 ms [mrad]", rows)
+        rows.append(f"{told} | {1e3 * found[0]:.2f} | {1e3 * found[1]:.2f}")
+    yield from table("effects | 1 ms [mrad] | 0.25 ms [mrad]", rows)
     yield from [f"Largest of all: {1e3 * worst:.2f} mrad.", "", "## Real records", "",
                 "A model is fitted, exported and run over a whole run, from legid's first states, under the measured "
                 "torque. Target: within 2 %.", ""]
