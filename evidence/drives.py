@@ -73,7 +73,8 @@ def watchdog(kind: str, way: str) -> list[float]:
 @kept
 def fuzz(frames: int) -> dict[str, tuple[float, int, int, float]]:
     """Broken frames through each codec: seconds, how many, of these counted, wrong. A crash ends the program."""
-    rng, out = np.random.default_rng(1), {}
+    rng = np.random.default_rng(1)
+    out: dict[str, tuple[float, int, int, float]] = {}
     for kind in ON_CAN:
         bench = DriveBench(kind)
         bench.drive.open()

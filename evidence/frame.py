@@ -16,13 +16,13 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from evidence.blind.score import Rate
 from studies.machine import machine
 
 Case = TypeVar("Case")
-Lines = Generator[str, None, int | None]
+Lines = Generator[str, None, Any]
 """Of a page, and the exit status."""
 WORDS = {"minutes": "after which no other case is begun", "seed": "of the first case", "fits": "of each row",
          "legs": "at most", "snapshots": "a folder with a clone of each public repository"}
