@@ -7,7 +7,7 @@ plant.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -103,18 +103,25 @@ def repeated(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
     return "q1_rad", run["q1_rad"][::times].repeat(times)[:len(run)]
 
 
-KINDS: dict[str, Callable[[Dataset, np.random.Generator], tuple[str, FloatArray]]] = {
+Kind = Callable[[Dataset, np.random.Generator], tuple[str, FloatArray]]
+KINDS: dict[str, Kind] = {
     "wrapped": wrapped, "isolated": isolated, "stepped": stepped, "clipped": clipped, "frozen": frozen,
     "repeated": repeated}
+
+
+def spoil(run: Dataset, rng: np.random.Generator, kinds: Sequence[str], makers: Mapping[str, Kind],
+          columns: dict[str, FloatArray]) -> None:
+    """Put the faults into columns of a run, one after the other."""
+    for kind in sorted(kinds, key=lambda one: one == "wrapped"):  # a sensor's range is the last on the way
+        name, values = makers[kind](Dataset(run.name, run.rate_hz, run.time_s, columns), rng)
+        columns[name] = values
 
 
 def named(seed: int, kinds: Sequence[str]) -> tuple[list[str], list[str]]:
     """The faults put into one run, one after the other, and those that the looks named."""
     run, rng = leg_run(seed), np.random.default_rng([seed, *map(list(KINDS).index, kinds)])
     columns = dict(run.columns)
-    for kind in sorted(kinds, key=lambda one: one == "wrapped"):  # a sensor's range is the last on the way
-        name, values = KINDS[kind](Dataset(run.name, run.rate_hz, run.time_s, columns), rng)
-        columns[name] = values
+    spoil(run, rng, kinds, KINDS, columns)
     try:
         faults = [str(fault.what) for fault in look(run.time_s, columns).faults]
     except InputError as error:
@@ -146,9 +153,7 @@ def fit_pair(seed: int, kinds: tuple[str, str]) -> Fit:
     for number in (1, 2):
         run, rng = leg_run(seed, number), np.random.default_rng([seed, number, *map(list(FITTED).index, kinds)])
         columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        for kind in sorted(kinds, key=lambda one: one == "wrapped"):  # a sensor's range is the last on the way
-            name, values = FITTED[kind](Dataset(run.name, run.rate_hz, run.time_s, columns), rng)
-            columns[name] = values
+        spoil(run, rng, kinds, FITTED, columns)
         runs.append(RawTable(run.name, run.time_s, columns))
     return _fit(seed, runs)
 

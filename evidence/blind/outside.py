@@ -7,7 +7,6 @@ They were written after the rule of the diagnosis was settled, and none served t
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -46,7 +45,3 @@ MAKERS: dict[str, Callable[[float], Plant]] = {
     "outside_accelerometer_clips": lambda s: Plant(logged=_clipped),
 }
 
-
-def make_case(name: str, seed: int, out: Path) -> None:
-    """Write r1.csv to r8.csv and rig.toml to OUT/NAME-SEED, and the truth to a file of that name; skip a whole case."""
-    servo.make_case(name, seed, out, makers=MAKERS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +50,10 @@ FAMILIES: dict[str, Family] = {
                         tuple(stickslip.MAKERS)),
     "geared": Family("soft gear, play, LuGre friction, a dozen small faults", geared.make_case, tuple(geared.MAKERS)),
     "small_faults": Family("the servo's legs with ten small faults", several_faults.make_case, several_faults.NAMES),
-    "outside": Family("the servo's legs, ten causes outside the library", outside.make_case, tuple(outside.MAKERS)),
-    "pairs": Family("the servo's legs, two effects", several_faults.make_pair, several_faults.PAIRS),
+    "outside": Family("the servo's legs, ten causes outside the library",
+                      partial(servo.make_case, makers=outside.MAKERS), tuple(outside.MAKERS)),
+    "pairs": Family("the servo's legs, two effects", partial(several_faults.make_case, always={}),
+                    several_faults.PAIRS),
     BENCH: Family("own integration, open-loop torque; `deleted`: the effect is taken out of the library", make_bench,
                   ("none", *(f"single {name}" for name in INSIDE), DRAWN, *(f"outside {name}" for name in OUTSIDE),
                    *(f"deleted {name}" for name in INSIDE))),

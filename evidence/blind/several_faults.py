@@ -53,17 +53,9 @@ def together(plants: Sequence[Plant]) -> Plant:
                  friction_now=friction_now, law=law, logged=logged, late_s=late)
 
 
-def make_case(name: str, seed: int, out: Path) -> None:
-    """As `servo.make_case`, beside ten small faults; the truth holds what matters alone."""
-    _make(name, seed, out, TEN)
-
-
-def make_pair(name: str, seed: int, out: Path) -> None:
-    """As `servo.make_case`, of two effects joined by a plus."""
-    _make(name, seed, out, {})
-
-
-def _make(name: str, seed: int, out: Path, always: Mapping[str, float]) -> None:
+def make_case(name: str, seed: int, out: Path, always: Mapping[str, float] = TEN) -> None:
+    """As `servo.make_case`, of effects joined by a plus, together with faults that are `always` there; the truth holds
+    the effects alone."""
     if is_made(name, seed, out):
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed, 7])
