@@ -13,8 +13,10 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate guided coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed structure servos servo-laws payloads changed-families looks lab-chain timing tuning engines trust wheel arm64 \
+.PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak \
+	fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned table5 replication imu-links walker bench \
+	evidence port port-faults fuzz tutorial screenshots changed servos servo-laws payloads looks lab-chain timing tuning engines \
+	trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -74,7 +76,7 @@ test-kernel: $(STAMP)
 
 bench: $(STAMP)
 	$(LOCKED) requirements-bench.lock
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence bench.speed --page
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence bench.speed --out docs/evidence/bench.md
 
 # What `legid diagnose` names, every family of cases from fresh seeds: an hour. FAMILIES="servo geared" takes these alone.
 # FAMILIES=records alone: docs/evidence/real-records.md.
@@ -82,13 +84,13 @@ bench: $(STAMP)
 # RUNS_AT_ONCE=1: each diagnosis on all cores, for times.
 # MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
 evidence: $(STAMP)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.causes \
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence blind.causes \
 		--minutes $(or $(MINUTES),60) --seed $(or $(SEED),2000) --at-once $(or $(RUNS_AT_ONCE),2) \
 		$(if $(FAMILIES),--families $(FAMILIES)) $(if $(EFFECTS),--effects $(EFFECTS)) $(if $(SEEDS),--seeds $(SEEDS)) \
 		$(if $(ANSWERS),--answers $(ANSWERS)) --out $(if $(EFFECTS)$(SEEDS),build/evidence,docs/evidence)/$(if $(filter-out records,$(or $(FAMILIES),all)),causes,real-records).md
 
 soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/evidence/soak.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence soak --out docs/evidence/soak.md
 
 # tests/fixtures/*.mcap anew, from one seed: after a change of the run format.
 fixtures: $(STAMP)
@@ -96,147 +98,121 @@ fixtures: $(STAMP)
 
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
 drives: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence drives --out docs/evidence/drives.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence drives --out docs/evidence/drives.md
 
 faults: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/evidence/faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence faults --out docs/evidence/faults.md
 
 # The Nth write, flush, sync, read and allocation of a recording fails, for every N, on four drives. EVERY=50: of reads and
 # allocations every 50th, ten minutes.
 EVERY ?= 1
 nth-fault: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence nth-fault --every $(EVERY) --out docs/evidence/nth-fault.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence nth-fault --every $(EVERY) --out docs/evidence/nth-fault.md
 
 # The controller's clock steps, wraps, freezes or runs at another rate while a leg is recorded: ten minutes.
 clock-faults: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence clock-faults --out docs/evidence/clock-faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence clock-faults --out docs/evidence/clock-faults.md
 
 # Forty files made to hang, to fill the memory, to crash a reader or to lead elsewhere, through the commands.
 attacks: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence attacks --out docs/evidence/attacks.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence attacks --out docs/evidence/attacks.md
 
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
-# A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
-# new KILLS_OUT.
-KILLS     ?= 1280
-KILLS_OUT ?= build/kills.jsonl
+# A fifth have ended before their kill.
+KILLS ?= 1280
 kills: $(STAMP)
-	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --disturbed 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
+	$(BIN)/python -m evidence kills --kills $(KILLS) --out docs/evidence/kills.md
 
 # Files broken in bytes and in structure through every reader, the same time for each format; MINUTES=20 ends it.
 FILES ?= 100000
 mutate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence mutate --files $(FILES) $(if $(MINUTES),--minutes $(MINUTES))
-
-# The same files, but mutated towards new code of the readers. Needs Atheris, which has wheels for x86-64 alone.
-guided: $(STAMP)
-	@$(BIN)/python -c 'import atheris' 2>/dev/null || { echo "make guided needs Atheris: $(BIN)/pip install atheris"; exit 1; }
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence guided --minutes $(or $(MINUTES),20)
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence mutate --files $(FILES) $(if $(MINUTES),--minutes $(MINUTES))
 
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200
 PLANT ?= stickslip
 RATES ?= 50 100 250 500
 coverage: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) \
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) \
 		$(if $(SEED),--seed $(SEED)) --out docs/evidence/coverage-$(PLANT).md
 
 # A quarter of an hour: Table V of the paper for every method on twenty legs.
 table5: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence table5 --out docs/evidence/table5.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence table5 --out docs/evidence/table5.md
 
 # Table III under the protocol that the paper is nearest to, and what each open choice does to it.
 RUNS ?= 200
 replication: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence replication --runs $(RUNS) --out docs/evidence/replication.md
-
-# Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
-seven-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence seven-links --fits $(FITS) --out docs/evidence/seven-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence replication --runs $(RUNS) --out docs/evidence/replication.md
 
 # Twenty steps of a walker: touchdowns, fits, free runs over steps, diagnoses. Half an hour.
 WALKS ?= 24
 walker: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence walker --fits $(WALKS) --out docs/evidence/walker.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence walker --fits $(WALKS) --out docs/evidence/walker.md
 
 # IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
 imu-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/evidence/imu-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence imu-links --fits $(FITS) --out docs/evidence/imu-links.md
 
 # Legs that follow a command, and the records of a real servo: a quarter of an hour. Called again it goes on; MINUTES=, SEED=.
 # ONLY=hidden RECORDS=0 MINUTES=60: hidden causes alone, to build/evidence. A diagnosis ends after five minutes of processor time.
 servos: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence servos --minutes $(or $(MINUTES),9) --records $(or $(RECORDS),6) \
 		--seed $(or $(SEED),7000) --only "$(ONLY)" --out $(if $(ONLY),build,docs)/evidence/servos.md
 
-# Friction laws of servos fitted to the same runs: four minutes; BAM= and SYSID= are copies of Rhoban/bam and kscalelabs/sysid.
+# Friction laws of a servo fitted to the same runs, on records next to the checkout: four minutes.
 servo-laws: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence servo-laws --bam "$(BAM)" --sysid "$(SYSID)" \
-		--out docs/evidence/servo-laws.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence servo-laws --out docs/evidence/servo-laws.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence runs --fits $(FITS) --out docs/evidence/runs.md
-
-# Two of nine parameters known from elsewhere, on legs that swing little: do the other intervals hold? FITS=60: a minute.
-prior: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/evidence/prior.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence runs --fits $(FITS) --out docs/evidence/runs.md
 
 # Faults in the later runs of real records next to the checkout; the earlier runs are the reference. Half an hour.
 changed: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
 
 # Legs whose controller, log and drive keep times of their own: an hour.
 timing: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence timing --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6000) --out docs/evidence/timing.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence timing --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6000) --out docs/evidence/timing.md
 
 # Rate, hold and delay that `legid tune` finds for such legs: twenty minutes.
 tuning: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence tuning --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/tuning.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence tuning --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6100) --out docs/evidence/tuning.md
 
 # Healthy legs in Pinocchio and PyBullet (the extra "engines"), and under rates that are not theirs: an hour.
 engines: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence engines --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6200) --out docs/evidence/engines.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence engines --minutes $(or $(MINUTES),60) --seed $(or $(SEED),6200) --out docs/evidence/engines.md
 
-# Legs with causes outside the library, and real records next to the checkout (RECORDS="FOLDER..."): a quarter of an hour.
-structure: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence structure --folder build/evidence/structure $(if $(RECORDS),--records $(RECORDS)) \
-		--out docs/evidence/structure.md
-
-# A change of one effect on five families of legs with small faults, 40 s a case: 45 minutes.
-changed-families: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),45) \
-		--out docs/evidence/changed-families.md
 
 # Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
 simulators: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
 
 # A lab's signal chain, all small faults of its sensors at once: twenty minutes.
 lab-chain: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence lab-chain --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6500) --out docs/evidence/lab-chain.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence lab-chain --minutes $(or $(MINUTES),20) --seed $(or $(SEED),6500) --out docs/evidence/lab-chain.md
 
 # Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
 trust: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence trust --minutes $(or $(MINUTES),60) \
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence trust --minutes $(or $(MINUTES),60) \
 		$(if $(SNAPSHOTS),--snapshots $(SNAPSHOTS)) --out docs/evidence/trust-rates.md
 
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.
 payloads: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence payloads --minutes $(or $(MINUTES),30) --out docs/evidence/payloads.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence payloads --minutes $(or $(MINUTES),30) --out docs/evidence/payloads.md
 
 # Looks at healthy readings, readings with faults put in, and fits of legs whose torque is clipped: ten minutes.
 looks: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence looks --out docs/evidence/looks.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence looks --out docs/evidence/looks.md
 
 # Real records next to the checkout, with minimal rig files, and records with an error put in: a quarter of an hour.
 untuned: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence untuned --out docs/evidence/untuned.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence untuned --out docs/evidence/untuned.md
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence live-soak --out docs/evidence/live.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence live-soak --out docs/evidence/live.md
 
 # The example board, cross-compiled and driven in an emulator.
 port: $(STAMP)
@@ -250,13 +226,13 @@ port-faults: $(STAMP)
 	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
 		{ echo "make port-faults needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; \
 		exit 1; }
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence port-faults --out docs/evidence/port-faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence port-faults --out docs/evidence/port-faults.md
 
 # The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
 # together; 10^7 each take a minute.
 FRAMES ?= 1000000
 fuzz: $(STAMP)
-	$(BIN)/python -m tests.evidence fuzz-core --frames $(FRAMES)
+	$(BIN)/python -m evidence fuzz-core --frames $(FRAMES)
 
 # After a change of what commands print: the tutorial's outputs and figures anew.
 tutorial: $(STAMP)

@@ -12,7 +12,7 @@ import pytest
 from tests.support.paths import ROOT
 
 PACKAGES = ("drivers", "daq", "estimator", "experiments", "legid")
-TESTS = ("tests/support", "tests/evidence/blind", "tests/estimator/effects")
+TESTS = ("tests/support", "evidence/blind", "tests/estimator/effects")
 FILE = re.compile(r"^`(\w+/\S+\.py)`:\n\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.evidence.fuzz_codecs import fuzz_can, fuzz_serial
+from evidence.fuzz_codecs import fuzz_can, fuzz_serial
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.evidence.fuzz_core import CORE, SOURCES, build
+from evidence.fuzz_core import CORE, SOURCES, build
 from tests.support.c_firmware import compiler
 
 WRONG = {  # file, what stands there, what does not hold then
@@ -40,6 +40,6 @@ def test_a_core_that_errs_is_found_out(gcc: str, tmp_path: Path, name: str, monk
     text = (broken / name).read_text()
     assert text.count(right) == 1
     (broken / name).write_text(text.replace(right, wrong))
-    monkeypatch.setattr("tests.evidence.fuzz_core.SOURCES", [SOURCES[0], *(broken / p.name for p in SOURCES[1:])])
+    monkeypatch.setattr("evidence.fuzz_core.SOURCES", [SOURCES[0], *(broken / p.name for p in SOURCES[1:])])
     done = subprocess.run([build(gcc, tmp_path / "fuzz"), "300000", "1"], capture_output=True)
     assert done.returncode

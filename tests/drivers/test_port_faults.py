@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.evidence.port_faults import wrong
+from evidence.port_faults import wrong
 from tests.support.paths import ROOT
 from tests.support.port_bench import Outcome, prompt
 from tests.support.processes import REAL_CLOCK
@@ -25,7 +25,7 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     with prompt():  # skips where the study could not run
         pass
     out = tmp_path / "faults.md"
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "port-faults", "--only", *CHOSEN, "--moments",
+    done = subprocess.run([sys.executable, "-m", "evidence", "port-faults", "--only", *CHOSEN, "--moments",
                            "driving", "--boards", "1", "--out", str(out)], cwd=ROOT, text=True, capture_output=True,
                           check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -6,16 +6,16 @@ import sys
 
 import pytest
 
-from tests.evidence import untuned
-from tests.evidence.__main__ import main
-from tests.evidence.registry import INDEX, Evidence, evidence, index
+from evidence import untuned
+from evidence.__main__ import main
+from evidence.registry import INDEX, Evidence, evidence, index
 from tests.support.paths import ROOT, needs_records
 
 PAGES = {path.name for path in INDEX.parent.glob("*.md")} - {"index.md", "limits.md"}
 
 
 def test_the_index_is_what_programs_and_pages_say() -> None:
-    assert INDEX.read_text(encoding="utf-8") == index(), "python -m tests.evidence --index"
+    assert INDEX.read_text(encoding="utf-8") == index(), "python -m evidence --index"
 
 
 def test_every_page_has_a_line_and_every_line_a_page() -> None:
@@ -29,9 +29,9 @@ def test_every_target_of_make_that_a_line_names_runs_that_program() -> None:
             words = one.command.split()
             if words[0] == "make":
                 recipe = re.search(rf"^{words[1]}: .*\n((?:[\t#].*\n|endif.*\n)+)", makefile, re.MULTILINE)
-                assert recipe is not None and f"tests.evidence {name}" in recipe[1], one.command
+                assert recipe is not None and f"evidence {name}" in recipe[1], one.command
             else:
-                assert words[:4] == ["python", "-m", "tests.evidence", name], one.command
+                assert words[:4] == ["python", "-m", "evidence", name], one.command
 
 
 @pytest.mark.parametrize("name", sorted(evidence()))
@@ -47,11 +47,11 @@ def test_every_program_says_its_arguments(name: str, capsys: pytest.CaptureFixtu
 
 def test_the_runner_lists_runs_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
-    assert "make seven-links" in capsys.readouterr().out
+    assert "make imu-links" in capsys.readouterr().out
     assert main(["no-such-thing"]) == 2
     assert main(["fault-list"]) == 2
     assert "part of other programs" in capsys.readouterr().err
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "clock-laws", "--runs", "1"], cwd=ROOT, text=True,
+    done = subprocess.run([sys.executable, "-m", "evidence", "clock-laws", "--runs", "1"], cwd=ROOT, text=True,
                           capture_output=True, check=True)
     assert "outside the bound" in done.stdout and "minutes" in done.stderr
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.evidence import kept as module
-from tests.evidence.kept import kept
+from evidence import kept as module
+from evidence.kept import kept
 
 called: list[tuple[int, str]] = []
 

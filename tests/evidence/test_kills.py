@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from daq.runs import read_run
-from tests.evidence import kills
-from tests.evidence.mutate import leg_run
+from evidence import kills
+from evidence.mutate import leg_run
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 
@@ -19,7 +19,7 @@ pytestmark = REAL_CLOCK
 @pytest.mark.slow
 def test_killed_recordings_are_read_and_recovered(tmp_path: Path) -> None:
     out = tmp_path / "kills.md"
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "kills", "--kills", "8", "--disturbed", "4", "--out",
+    done = subprocess.run([sys.executable, "-m", "evidence", "kills", "--kills", "8", "--disturbed", "4", "--out",
                            str(out)],
                           cwd=ROOT, text=True, capture_output=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

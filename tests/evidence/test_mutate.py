@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from daq.errors import InputError
-from tests.evidence.mutate_worker import Kind, study
+from evidence.mutate_worker import Kind, study
 from tests.support.paths import ROOT
 
 
@@ -41,7 +41,7 @@ def test_an_exception_a_crash_and_too_much_memory_are_faults(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_broken_files_are_read_or_refused_within_their_bounds() -> None:
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "mutate", "--files", "60", "--chunk", "60"],
+    done = subprocess.run([sys.executable, "-m", "evidence", "mutate", "--files", "60", "--chunk", "60"],
                           cwd=ROOT, text=True, capture_output=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("| 60 |") == 17 and "1,020 files have 0 faults" in done.stdout

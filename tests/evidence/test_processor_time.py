@@ -4,8 +4,8 @@ import signal
 
 import pytest
 
-from tests.evidence import servos
-from tests.evidence.processor_time import within_processor_time
+from evidence import servos
+from evidence.processor_time import within_processor_time
 
 
 def never() -> int:

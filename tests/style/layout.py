@@ -39,6 +39,7 @@ CLI = "experiments.cli"
 OF_DAQ = {"Dataset", "FloatArray", "Loop"}
 """What the estimator knows of daq."""
 FILES = sorted(p for floor in FLOORS for p in (ROOT / floor).rglob("*.py"))
+BESIDE = sorted(p for folder in ("tests", "evidence") for p in (ROOT / folder).rglob("*.py"))
 
 
 def module_of(path: Path) -> str:
@@ -172,12 +173,14 @@ def rooms_out_of_order(floor: str) -> Iterator[str]:
 
 
 def borrowed(path: Path) -> Iterator[str]:
-    """Names that a test takes from another test's module."""
+    """Names that a test takes from another test's module, or a study from more than tests/support."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
             names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
             if any(part.startswith("test_") for name in names for part in name.split(".")):
                 yield f"takes {names[-1]} from another test; put it into tests/support"
+            elif path.is_relative_to(ROOT / "evidence") and not (node.module or "").startswith("tests.support"):
+                yield f"takes {names[-1]} from tests; a study takes only what is in tests/support"
 
 
 def problems() -> Iterator[str]:
@@ -190,10 +193,10 @@ def problems() -> Iterator[str]:
     circle = storeys({module: set(needs(module)) & MODULES.keys() for module in MODULES})
     if isinstance(circle, str):
         yield f"a circle of modules: {circle}"
-    for path in [*FILES, *sorted((ROOT / "tests").rglob("*.py"))]:
+    for path in [*FILES, *BESIDE]:
         lines = len(path.read_text().splitlines())
         if lines > LINES:
             kind = "" if lines > TOO_LONG else "warning: "
             yield f"{kind}{path.relative_to(ROOT)}: {lines} lines; split it by meaning"
-    for path in sorted((ROOT / "tests").rglob("*.py")):
+    for path in BESIDE:
         yield from (f"{path.relative_to(ROOT)}: {said}" for said in borrowed(path))

@@ -153,11 +153,9 @@ def problems() -> Iterator[str]:
                 for sentence in re.split(SENTENCES, one.text)])
     if hard >= MOST_LIX:
         yield f"messages: LIX {hard:.1f}; at most {MOST_LIX:g} are allowed"
-    for path in sorted((ROOT / "tests/evidence").rglob("*.py")):
-        if not path.name.startswith("test_"):  # their messages are the words of pages; models of MuJoCo are not
-            yield from (line for one in said_in(path)
-                        if one.kind == "message" and not one.text.lstrip().startswith("<")
-                        for line in complaints(str(path.relative_to(ROOT)), one))
+    for path in sorted((ROOT / "evidence").rglob("*.py")):  # messages are words of pages; models of MuJoCo are not
+        yield from (line for one in said_in(path) if one.kind == "message" and not one.text.lstrip().startswith("<")
+                    for line in complaints(str(path.relative_to(ROOT)), one))
     for floor in FLOORS:
         for path in sorted((ROOT / "tests" / floor).rglob("*.py")):
             yield from (line for one in said_in(path) if one.kind == "name"

@@ -1,6 +1,6 @@
 """Records of a leg with one effect, made by other code than ours, and the size that a fit should find in them.
 
-The plants share no code with the estimator. `tests.evidence.blind.physics` has friction as a set-valued force, a
+The plants share no code with the estimator. `evidence.blind.physics` has friction as a set-valued force, a
 two-mass gear, LuGre bristles, a stop of Hunt and Crossley and a stand as a further body. MuJoCo takes a friction law.
 """
 
@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from tests.evidence.blind.excite import Torque, draw
-from tests.evidence.blind.leg import Leg, stack
-from tests.evidence.blind.measure import RATE_HZ, Sensors, disturb, read
-from tests.evidence.blind.physics import integrate
+from evidence.blind.excite import Torque, draw
+from evidence.blind.leg import Leg, stack
+from evidence.blind.measure import RATE_HZ, Sensors, disturb, read
+from evidence.blind.physics import integrate
 from tests.support import mujoco_leg
 
 LEG = Leg()

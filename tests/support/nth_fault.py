@@ -30,8 +30,8 @@ from daq.runs.mcap_run import RunWriter, read_run
 from drivers import Lsm9ds1
 from drivers.errors import DriverError, LinkLost
 from drivers.lsm9ds1 import ImuConfig
-from tests.evidence.drive_faults import RIG as DRIVE_RIG
-from tests.evidence.drive_faults import DriveFaultBench
+from evidence.drive_faults import RIG as DRIVE_RIG
+from evidence.drive_faults import DriveFaultBench
 from tests.support.fault_bench import RIG, FaultBench
 
 RECORD: Any = record

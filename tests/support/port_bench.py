@@ -28,8 +28,8 @@ from drivers.protocol import (
     describe_faults,
     encode,
 )
+from evidence.kill_processes import start
 from experiments.cli import main as legid
-from tests.evidence.kill_processes import start
 from tests.support.fault_bench import DRIVING_AT_S, PEAK_NM, RAMP_AT_S, STOPPING_AFTER_S, SWING_HZ
 from tests.support.port_line import Line
 from tests.support.qemu_board import Board

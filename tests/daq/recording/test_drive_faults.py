@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.evidence.drive_faults import strike
+from evidence.drive_faults import strike
 
 
 @pytest.mark.parametrize("kind", ["moteus", "odrive", "dynamixel"])

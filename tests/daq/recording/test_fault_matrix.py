@@ -10,8 +10,8 @@ import pytest
 
 from daq.recording.plan import Plan
 from drivers.protocol import Telemetry
-from tests.evidence.fault_list import FAULTS
-from tests.evidence.faults import TARGET_MS, strike
+from evidence.fault_list import FAULTS
+from evidence.faults import TARGET_MS, strike
 from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome
 
 CELLS = [

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.evidence.soak import kill_many, soak_real, soak_virtual
+from evidence.soak import kill_many, soak_real, soak_virtual
 
 
 def test_952_hz_and_1_khz_on_virtual_time_lose_nothing(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.evidence.clock_laws import LAWS, Law, oscillator, reboot, simulate
+from evidence.clock_laws import LAWS, Law, oscillator, reboot, simulate
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)

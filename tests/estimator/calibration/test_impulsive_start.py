@@ -15,12 +15,12 @@ from daq.dataset import Dataset
 from estimator.calibration.windows import CLEAR
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
+from evidence.blind.excite import draw
+from evidence.blind.leg import GRAVITY, Array, Leg, stack
+from evidence.blind.measure import RATE_HZ, Sensors, disturb, imu
+from evidence.blind.physics import integrate
+from evidence.emulated_legs import SPREAD
 from experiments.session.suspicion import Suspicion, suspect
-from tests.evidence.blind.excite import draw
-from tests.evidence.blind.leg import GRAVITY, Array, Leg, stack
-from tests.evidence.blind.measure import RATE_HZ, Sensors, disturb, imu
-from tests.evidence.blind.physics import integrate
-from tests.evidence.emulated_legs import SPREAD
 
 SECONDS, LEVER_M = 10.0, 0.2
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")

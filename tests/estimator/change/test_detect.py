@@ -18,11 +18,11 @@ from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
 from estimator.score import Score, total
+from evidence.blind.records import RECORDS, RIGS
+from evidence.blind.stickslip import MAKERS, Readings
+from evidence.what_changed import runs_of, spoilt
 from experiments.session import prepare
 from experiments.workflows.change import find_change
-from tests.evidence.blind.records import RECORDS, RIGS
-from tests.evidence.blind.stickslip import MAKERS, Readings
-from tests.evidence.what_changed import runs_of, spoilt
 from tests.support.changed_leg import REFERENCE, leg_runs, loaded
 from tests.support.mujoco_leg import Leg
 from tests.support.paths import REAL

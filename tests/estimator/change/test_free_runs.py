@@ -18,11 +18,11 @@ from estimator.change.verdict import AGAINST, with_errors
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
+from evidence.blind.records import RECORDS, RIGS
+from evidence.what_changed import runs_of, spoilt
 from experiments.documents import ChangeDocument
 from experiments.reports import change_text
 from experiments.session import prepare
-from tests.evidence.blind.records import RECORDS, RIGS
-from tests.evidence.what_changed import runs_of, spoilt
 from tests.support.mujoco_leg import Leg, multisine, record
 from tests.support.paths import REAL
 

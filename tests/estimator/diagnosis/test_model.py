@@ -47,11 +47,11 @@ from estimator.options import FitOptions
 from estimator.prediction import per_value, white_noise
 from estimator.signals import IMU_COLUMNS
 from estimator.signals.segments import SignalSet
-from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case
-from tests.evidence.blind.effects import MOTOR_INERTIA
-from tests.evidence.blind.leg import stack
-from tests.evidence.blind.measure import RATE_HZ, disturb, read
-from tests.evidence.blind.physics import integrate
+from evidence.blind.cases import Case, DrawnCase, draw_case
+from evidence.blind.effects import MOTOR_INERTIA
+from evidence.blind.leg import stack
+from evidence.blind.measure import RATE_HZ, disturb, read
+from evidence.blind.physics import integrate
 from tests.support.driven_pendulum import mechanism, pendulum_run
 
 COUNT, RUNS = 800, 4
@@ -60,8 +60,7 @@ PEAK_NM = 0.6
 
 def drawn(effect: str) -> DrawnCase:
     """Leg, sensors and torque plans of the bench; what it would hide is not used."""
-    case = next(c for c in catalogue("single", [21]) if c.effects == (effect,))
-    return draw_case(case, {effect: 0.1}, 0.1)
+    return draw_case(Case("single", (effect,), seed=21), {effect: 0.1}, 0.1)
 
 
 def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> list[Dataset]:

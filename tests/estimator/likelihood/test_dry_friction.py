@@ -9,7 +9,7 @@ from daq import Dataset
 from estimator import FitOptions, fit
 from estimator.likelihood.dry_friction import crossing_samples, likeliest_smoothing
 from estimator.model import leg2
-from tests.evidence.blind import servo
+from evidence.blind import servo
 from tests.support.mujoco_leg import random_leg
 
 

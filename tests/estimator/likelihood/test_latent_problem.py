@@ -115,8 +115,8 @@ def test_compiled_normal_equations_are_those_by_arrays(broken: tuple[LatentProbl
 @pytest.mark.usefixtures("squares_alone")
 def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("casadi", reason="needs the extra `bench`")
-    from tests.evidence.bench import casadi_ipopt
-    from tests.evidence.bench.record import Recorded, pose
+    from evidence.bench import casadi_ipopt
+    from evidence.bench.record import Recorded, pose
 
     leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
     run = record(leg, np.random.default_rng(22), seconds=4)

@@ -10,11 +10,11 @@ import pytest
 from msgspec import structs
 
 from daq import load_rig
+from evidence.blind.stickslip import MAKERS
 from experiments import cli
 from experiments.models import load_model, save_model
 from experiments.session import prepare
 from experiments.workflows import as_reference
-from tests.evidence.blind.stickslip import MAKERS
 from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.models import write_model
 from tests.support.pages import Outside

@@ -14,10 +14,10 @@ import legid
 from daq import Dataset, InputError
 from daq.rig import parse_rig
 from daq.runs.csv_run import write_csv
+from evidence.servos import Hidden, draw, record
 from experiments.cli import main
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
-from tests.evidence.servos import Hidden, draw, record
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow

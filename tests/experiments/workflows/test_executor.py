@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError, WorkError
+from evidence.blind.stickslip import MAKERS
 from experiments.cli import main
 from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
 from studies.biped3.store import load_block
 from studies.biped3.study import CASES, FLOOR, blocks, run_block
-from tests.evidence.blind.stickslip import MAKERS
 from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK

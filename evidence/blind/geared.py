@@ -1,0 +1,196 @@
+"""A family of geared legs with a dozen small imperfections that a good laboratory would accept, always present.
+
+The motor drives the knee through a soft gear with 0.2 mrad of play; the encoder is on the motor's side. Friction at
+both joints follows LuGre. The current loop and the shunt's filter lag, the shunt has 12 bits, the gear cogs and its
+friction grows by 1 to 2 % of the load, the IMU is filtered and has the errors of a calibrated chip. One effect of
+ordinary strength may be added, of the library or not. Semi-implicit Euler at 40 kHz, LuGre after Canudas de Wit et al.,
+IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, is_made, reference, truth_of, write_case
+from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
+
+TICK_S, INNER = 1e-3, 40
+RIG = f"[motor]\ngear_ratio = {GEAR}\n"
+SHUNT_NM = 16.0 / 4096
+"""Resolution of the shunt [N m]."""
+ROTOR = 3e-4
+"""Inertia of the rotor, seen at the knee [kg m^2]."""
+LAWS = ("spring", "drag", "asymmetry", "ripple", "stribeck", "load", "saturation", "cubic", "patchy", "magnet",
+        "boucwen", "slosh", "copper", "wander")
+SMALL = {"gyro_bias": 1e-3, "gyro_scale": 2e-3, "accel_bias": 0.01, "tilt": 1.5e-3, "torque_offset": 2e-3,
+         "encoder_offset": 5e-4, "eccentricity": 5e-4, "skew": 2e-4}
+"""Standard deviations of what a calibrated rig keeps [SI]."""
+
+
+@dataclass
+class Hidden:
+    """One effect beside the small ones: strengths of laws, and of faults in what is logged."""
+
+    laws: dict[str, float] = field(default_factory=dict)
+    faults: dict[str, float] = field(default_factory=dict)
+
+
+MAKERS: dict[str, Callable[[float], Hidden]] = {
+    "none": lambda s: Hidden(),
+    "none_wandering": lambda s: Hidden({"wander": 0.012 * s}),
+    "joint_stiffness": lambda s: Hidden({"spring": 0.35 * s}),
+    "quadratic_drag": lambda s: Hidden({"drag": 0.03 * s}),
+    "asymmetric_friction": lambda s: Hidden({"asymmetry": 0.08 * s}),
+    "torque_ripple": lambda s: Hidden({"ripple": 0.08 * s}),
+    "stribeck_friction": lambda s: Hidden({"stribeck": 0.15 * s}),
+    "load_dependent_friction": lambda s: Hidden({"load": 0.12 * s}),
+    "torque_saturation": lambda s: Hidden({"saturation": 0.4 * s}),
+    "torque_offset": lambda s: Hidden(faults={"torque_offset": 0.06 * s}),
+    "torque_delay": lambda s: Hidden(faults={"delay": 6e-3 * s}),
+    "sensor_time_skew": lambda s: Hidden(faults={"skew": 4e-3 * s}),
+    "gyro_bias": lambda s: Hidden(faults={"gyro_bias": 0.03 * s}),
+    "gyro_scale": lambda s: Hidden(faults={"gyro_scale": 0.03 * s}),
+    "accelerometer_bias": lambda s: Hidden(faults={"accel_bias": 0.25 * s}),
+    "imu_misalignment": lambda s: Hidden(faults={"tilt": 0.03 * s}),
+    "encoder_offset": lambda s: Hidden(faults={"encoder_offset": 0.03 * s}),
+    "encoder_eccentricity": lambda s: Hidden(faults={"eccentricity": 0.04 * s}),
+    # no effect of the library does these
+    "outside_cubic_spring": lambda s: Hidden({"cubic": 0.5 * s}),
+    "outside_patchy_friction": lambda s: Hidden({"patchy": 0.12 * s}),
+    "outside_magnet": lambda s: Hidden({"magnet": 0.2 * s}),
+    "outside_cable_hysteresis": lambda s: Hidden({"boucwen": 0.06 * s}),
+    "outside_swinging_mass": lambda s: Hidden({"slosh": 0.05 * s}),
+    "outside_torque_squared": lambda s: Hidden({"copper": 0.06 * s}),
+    "outside_gyro_curvature": lambda s: Hidden(faults={"gyro_cubic": 0.004 * s}),
+}
+
+
+@njit(cache=True)
+def _lugre(v, z, level, peak, slip, damping, h):  # type: ignore[no-untyped-def]
+    """Friction torque and bristle deflection after a step of h [s]; the bristle's equation is solved implicitly."""
+    g = level + (peak - level) * np.exp(-((v / 0.05) ** 2))
+    stiff = level / slip
+    new = (z + h * v) / (1.0 + h * stiff * abs(v) / g)
+    return stiff * new + damping * (new - z) / h, new
+
+
+@njit(cache=True)
+def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyped-def]
+    """(T, 6) q1, motor angle, gyro, accelerometer x and y, shunt at every tick, from the commanded motion."""
+    spring, drag, asymmetry, ripple, stribeck, load, limit, cubic, patchy, magnet, bouc, slosh, copper, wander = law
+    d1, d2, dry, lever, stiffness, play, rotor, cog, load0 = leg
+    b1, b2, b3, b4, b5 = beta
+    h = 1e-3 / 40
+    q1 = q2 = qm = v1 = v2 = vm = z1 = z2 = i = shunt = 0.0
+    fg = fx = fy = w = 0.0
+    cable, s, sd = 0.0, 0.0, 0.0
+    u = 0.0
+    out = np.empty((wanted.size, 6))
+    gear_damping = 0.6 * np.sqrt(stiffness * rotor)
+    for k in range(wanted.size):
+        u = min(max(9.0 * (wanted[k] - qm) + 0.7 * (rate[k] - vm), -6.0), 6.0)
+        w += -w * 1e-3 / 0.15 + wander * np.sqrt(2e-3 / 0.15) * noise[k]
+        for _ in range(40):
+            i += h * (u - i) / 5e-4
+            shunt += h * (i - shunt) / 5e-4
+            twist = qm - q2
+            pushed = twist - min(max(twist, -play), play)
+            gear = stiffness * pushed + (gear_damping * (vm - v2) if pushed != 0.0 else 0.0)
+            level = dry + (load0 + load) * abs(gear)
+            level += patchy * (1.0 + np.sin(4.0 * q2 + 0.5))
+            if vm > 0.0:
+                level += asymmetry
+            level += stribeck / (1.0 + abs(vm) / 0.12)
+            rub2, z2 = _lugre(vm, z2, level, 1.1 * level, 2e-3, 0.03, h)
+            rub1, z1 = _lugre(v1, z1, 0.1 * dry, 0.11 * dry, 2e-3, 2e-3, h)
+            motor = i
+            if limit > 0.0:
+                motor = i / (1.0 + (abs(i) * limit) ** 3) ** (1.0 / 3.0)
+            motor -= copper * i * i
+            am = (motor + w + (cog * np.sin(GEAR * qm + phases[0])) + ripple * np.sin(GEAR * qm + phases[1])
+                  - rub2 - gear) / rotor
+            cable += h * (v1 - 0.5 * abs(v1) * cable / 0.15 - 0.5 * v1 * abs(cable) / 0.15)
+            near = (q1 - 0.1) / 0.08
+            t1 = -d1 * v1 - rub1 - magnet * near * np.exp(-near * near) - bouc * cable / 0.15
+            t2 = gear - d2 * v2 - spring * (q2 - 0.2) - drag * v2 * abs(v2) ** 0.9 - cubic * (q2 - 0.1) ** 3
+            c2, s2 = np.cos(q2), np.sin(q2)
+            g2 = 9.81 * b5 * np.sin(q1 + q2)
+            if slosh > 0.0:  # a mass on a spring along the pivot's rotation, 1.6 Hz
+                pull = slosh * (100.0 * s + 1.0 * sd)
+                sd += h * (-100.0 * s - 1.0 * sd - 0.3 * v1 * abs(v1) - 9.81 * np.sin(q1))
+                s += h * sd
+                t1 += pull
+            r1 = t1 + b3 * s2 * (2.0 * v1 * v2 + v2 * v2) - 9.81 * b4 * np.sin(q1) - g2
+            r2 = t2 - b3 * s2 * v1 * v1 - g2
+            m11, m12 = b1 + b2 + 2.0 * b3 * c2, b2 + b3 * c2
+            det = m11 * b2 - m12 * m12
+            a1, a2 = (b2 * r1 - m12 * r2) / det, (m11 * r2 - m12 * r1) / det
+            v1 += h * a1
+            v2 += h * a2
+            vm += h * am
+            q1 += h * v1
+            q2 += h * v2
+            qm += h * vm
+            fg += h * (v1 - fg) / 2e-3
+            fx += h * (lever * a1 + 9.81 * np.sin(q1) - fx) / 2e-3
+            fy += h * (-lever * v1 * v1 - 9.81 * np.cos(q1) - fy) / 2e-3
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5] = q1, qm, fg, fx, fy, shunt
+    return out
+
+
+def make_case(name: str, seed: int, out: Path) -> None:
+    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
+    if is_made(name, seed, out):
+        return
+    rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
+    hidden = MAKERS[name](rng.uniform(0.85, 1.15))
+    leg, dry, runs = record([hidden] * RUNS, rng)
+    write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
+
+
+def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:
+    """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `hidden`."""
+    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
+    drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, ROTOR,
+                      rng.uniform(0.003, 0.008), rng.uniform(0.01, 0.02)])
+    small = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
+    phases = rng.uniform(0.0, 2.0 * np.pi, 2)
+    time = np.arange(round(SECONDS / TICK_S)) * TICK_S
+
+    def logged(run: int, one: Hidden) -> dict[str, np.ndarray]:
+        wanted, rate = reference(rng, time, run)
+        law = np.array([one.laws.get(k, 0.0) for k in LAWS])
+        rows = _move(wanted, rate, leg.beta()[:5], drive, law, phases, rng.normal(size=time.size))
+        fault = {k: small.get(k, 0.0) + one.faults.get(k, 0.0) for k in {*small, *one.faults}}
+        return as_logged(dict(zip(("q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "tau2_nm"),
+                                  rows.T)), time, fault)
+
+    return leg, dry, (logged(run, one) for run, one in enumerate(hidden))
+
+
+def as_logged(fine: dict[str, np.ndarray], time: np.ndarray, fault: dict[str, float]) -> dict[str, np.ndarray]:
+    """Readings at 100 Hz with what a calibrated rig keeps of its `fault`s. The driver knows the lag of the IMU's filter
+    (2 ms) and that of the shunt's (0.5 ms), and corrects for both."""
+    every = round(1.0 / (RATE_HZ * TICK_S))
+    grid = time[every:-every:every]
+    imu = 2e-3 - TICK_S - fault.get("skew", 0.0)
+    late = {"gyro_radps": imu, "accel_x_mps2": imu, "accel_y_mps2": imu,
+            "tau2_nm": 5e-4 - TICK_S - fault.get("delay", 0.0), "q2_rad": -TICK_S, "q1_rad": -TICK_S}
+    c = {name: np.interp(grid + late[name], time, values) for name, values in fine.items()}
+    c["tau2_nm"] = np.round((c["tau2_nm"] + fault["torque_offset"]) / SHUNT_NM) * SHUNT_NM
+    w = c["gyro_radps"]
+    c["gyro_radps"] = w * (1.0 + fault["gyro_scale"]) + fault["gyro_bias"] + fault.get("gyro_cubic", 0.0) * w**3
+    x, y, a = c["accel_x_mps2"] + fault["accel_bias"], c["accel_y_mps2"], fault["tilt"]
+    c["accel_x_mps2"], c["accel_y_mps2"] = np.cos(a) * x - np.sin(a) * y, np.sin(a) * x + np.cos(a) * y
+    q, depth = c["q2_rad"], fault["eccentricity"]
+    c["q2_rad"] = (q + fault["encoder_offset"]
+                   + np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
+    return {"time_s": grid - grid[0], **c}
+
+
+assert GRAVITY == 9.81, "the compiled motion has it as a number"
