@@ -1,4 +1,4 @@
-"""Emulated legs with random parameters, and the rig file of the studies that record them."""
+"""Emulated legs with random parameters, the rig file and labels of the studies that record them."""
 
 from __future__ import annotations
 
@@ -30,3 +30,8 @@ def rig_in(folder: Path) -> tuple[Rig, str]:
     text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     return load_rig(folder / "rig.toml"), text
+
+
+def label(effect: str, joint: int | None) -> str:
+    """`effect@joint`."""
+    return effect if joint is None else f"{effect}@{joint}"

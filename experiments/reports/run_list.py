@@ -217,8 +217,7 @@ def _documents(folder: Path) -> list[tuple[Path, _Diagnosis]]:
             document = msgspec.json.decode(read_bytes(path, MOST_BYTES), type=_Diagnosis)
         except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
-        if document.schema == "legid.diagnosis/1":
-            found.append((path.stat().st_mtime, path, document))
+        found.append((path.stat().st_mtime, path, document))
     return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
 
 

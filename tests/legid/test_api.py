@@ -32,7 +32,7 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_example_finds_what_was_hidden(example: dict[str, Any]) -> None:
-    found: api.Diagnosis = example["found"]
+    found: legid.Diagnosis = example["found"]
     assert found.verdict == "named" and [(c.effect, c.joint) for c in found.causes] == [("joint_stiffness", 2)]
     stiffness, preload = found.causes[0].size
     assert stiffness.value == pytest.approx(SPRING_NM, rel=0.05)
@@ -42,7 +42,7 @@ def test_the_example_finds_what_was_hidden(example: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_the_examples_results_have_the_shapes_that_the_docstrings_give(example: dict[str, Any]) -> None:
-    result: api.FitResult = example["result"]
+    result: legid.FitResult = example["result"]
     assert result.beta.shape == (9,) and result.covariance.shape == (9, 9) and result.ci95().shape == (9, 2)
     extended, truth = np.array(example["extended"].beta), np.array(LegBody().beta())
     assert np.all(np.abs(extended[:3] / truth[:3] - 1) < 0.02)
@@ -66,7 +66,7 @@ def test_load_gives_what_record_gave(example: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_results_draw_themselves_and_remember_where_they_come_from(example: dict[str, Any]) -> None:
     assert (example["folder"] / "diagnosis.png").stat().st_size > 10_000
-    found: api.Diagnosis = example["found"]
+    found: legid.Diagnosis = example["found"]
     assert list(found.to_frame()["effect"]) == ["joint_stiffness", "joint_stiffness"]
     assert len(found.to_frame("candidates")) == len(found.candidates) > 5
     page = found._repr_html_()
@@ -92,7 +92,7 @@ def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> 
     with pytest.raises(api.WorkError, match="too short"):
         api.model(Details("fit_failed", "too short"), runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
-        api.Diagnosis.of(Details("fit_failed", "too short")).plot()
+        legid.Diagnosis.of(Details("fit_failed", "too short")).plot()
 
 
 def test_bad_input_is_an_input_error(tmp_path: Path) -> None:
