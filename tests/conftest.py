@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import tomllib
 from pathlib import Path
 
 import pytest
+
+HERE = Path(__file__).parent
 
 gc.disable()  # modules and tests that are collected stay: to look for garbage among them takes a quarter of their time
 for library in ("OMP", "OPENBLAS"):  # before numpy is imported; two workers share two cores
@@ -15,6 +18,23 @@ for library in ("OMP", "OPENBLAS"):  # before numpy is imported; two workers sha
 
 def pytest_collection_finish() -> None:
     gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the cases of tests/tiers.toml. Where all tests are collected, a name that none has is an error."""
+    tiers = tomllib.loads((HERE / "tiers.toml").read_text(encoding="utf-8"))
+    tier_of = {name: tier for tier, names in tiers.items() for name in names}
+    unknown = set(tier_of)
+    for item in items:
+        name = f"{item.path.relative_to(HERE).as_posix()}::{item.name}" if item.path.is_relative_to(HERE) else ""
+        for own in (name, name.partition("[")[0]):
+            if own in tier_of:
+                unknown.discard(own)
+                item.add_marker(tier_of[own])
+                break
+    if unknown and [Path(arg).resolve() for arg in config.args] == [HERE]:
+        raise pytest.UsageError(f"tests/tiers.toml has {len(unknown)} cases that are no tests: {sorted(unknown)[:3]}")
 
 
 @pytest.fixture(scope="session")
