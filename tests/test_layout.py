@@ -201,6 +201,6 @@ def test_tests_take_nothing_from_each_other_but_by_support() -> None:
     for path in BESIDE:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
-                assert path.is_relative_to(ROOT / "tests") or node.module.startswith("tests.support"), path
+                assert path.is_relative_to(ROOT / "tests") or (node.module or "").startswith("tests.support"), path
                 names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
                 assert not any(part.startswith("test_") for name in names for part in name.split(".")), path
