@@ -72,6 +72,7 @@ def _context(code: Code, command: str) -> dict[str, Any]:
     torques = tuple(torque_column(mechanism, j) for j in driven)
     columns = [*angles, *torques, *(c for k in range(_imus(parts)) for c in imu_columns(k))]
     noise = {c: level for c in columns if (level := noise_level(parts.model.noise, c))}
+    act = _act(code)
     said = ["It applies what leg.xml does not hold:" if code.said else "leg.xml holds the whole model.", *code.said]
     return {
         "title": f"A {parts.model.mechanism.model} that legid identified, in MuJoCo.", "command": command,
@@ -83,9 +84,8 @@ def _context(code: Code, command: str) -> dict[str, Any]:
         "correlation": parts.model.noise.get("accel_correlation", 0.0), "late": code.late_s, "early": code.early_s,
         "delays": tuple(parts.joints[j].delay_s for j in driven) if any(j.delay_s for j in parts.joints) else (),
         "delayed_sensors": parts.imu_delay_s > 0.0, "constants": code.constants, "functions": code.functions,
-        "start": _start(parts), "act": _act(code), "imu": _imu(code),
-        "encoders": _encoders(code, angles),
-        "reads_delayed": any("mj_readCtrl" in line for line in _act(code))}
+        "start": _start(parts), "act": act, "imu": _imu(code), "encoders": _encoders(code, angles),
+        "reads_delayed": any("mj_readCtrl" in line for line in act)}
 
 
 def _imus(parts: Parts) -> int:
