@@ -65,7 +65,7 @@ fast: $(STAMP) $(THEIRS)
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
 # of studies and recordings, clusters, the generator of `make evidence`, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
-	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "slow and not study" tests
 
 # The same on other drives and seeds, and on all public records of the casebook: half an hour.
 test-study: $(STAMP) $(THEIRS)
