@@ -1,4 +1,8 @@
-"""`make test`: the numerics with another kernel of OpenBLAS than the usual one. Its sums round differently."""
+"""The numerics with another kernel of OpenBLAS than the usual one: its sums round differently.
+
+    python -m tests.tools.other_kernel          # what is fast
+    python -m tests.tools.other_kernel --slow   # what is not
+"""
 
 import os
 import subprocess
@@ -9,6 +13,7 @@ NEEDS = {"SkylakeX": "avx512vl", "Haswell": "fma"}
 """Kernels, and what a processor has that runs them."""
 TESTS = ("numerics", "likelihood", "fitting/test_minimum.py", "fitting/test_mle.py", "fitting/test_admissibility.py",
          "change/test_detect.py")
+TIERS = {False: "not slow and not study", True: "slow and not study"}
 RUNNING = ("import numpy, scipy.linalg, threadpoolctl\n"
            "print(*{each['architecture'] for each in threadpoolctl.threadpool_info() if 'architecture' in each})")
 
@@ -35,7 +40,8 @@ def main() -> int:
         print(f"numerics under one BLAS kernel: this processor has no other of {' and '.join(NEEDS)}", flush=True)
         return 0
     print(f"numerics under the BLAS kernel {kernel}", flush=True)
-    command = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", "not slow",
+    command = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m",
+               TIERS["--slow" in sys.argv],
                *(f"tests/estimator/{name}" for name in TESTS)]
     return subprocess.run(command, env=os.environ | {"OPENBLAS_CORETYPE": kernel}, check=False).returncode
 
