@@ -174,12 +174,9 @@ def _rig_lines(raw: RawRun) -> list[str]:
         lines.append(_rig_line(recorded_rig(raw)))
     except InputError as error:
         lines.append(f"rig: {error}")
-    firmware = configured(raw, "firmware")
-    if firmware:
-        lines.append("firmware: " + ", ".join(f"{key} {value}" for key, value in firmware.items()))
-    link = configured(raw, "link")
-    if link:
-        lines.append("link: " + ", ".join(f"{key} {value}" for key, value in link.items() if value is not None))
+    for name in ("firmware", "link"):
+        if facts := configured(raw, name):
+            lines.append(f"{name}: " + ", ".join(f"{key} {value}" for key, value in facts.items() if value is not None))
     if "plan.csv" in raw.files:
         lines.append(f"plan: {raw.files['plan.csv'].count(chr(10)) - 1} torque commands")
     return lines
