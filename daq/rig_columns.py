@@ -10,7 +10,7 @@ from daq.rig_types import Table
 
 
 class Column(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Place of a contract column in files of other programs: value = sign * scale * unit * reading + offset."""
+    """Place of a run's column in files of other programs: value = sign * scale * unit * (reading - minus) + offset."""
 
     name: str
     """As the file calls it."""
