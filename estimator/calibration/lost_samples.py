@@ -160,4 +160,4 @@ def lost_text(lost: LostSamples, time_s: float) -> str:
     many = f"{abs(lost.samples)} samples" if abs(lost.samples) > 1 else "one sample"
     what = f"{'has' if len(lost.columns) == 1 else 'have'} {'lost ' + many if lost.samples > 0 else many + ' twice'}"
     return (f"{', '.join(lost.columns)} {what} against the other columns at about {time_s:.4g} s (row {lost.row + 1}): "
-            "the readings behind are moved back to their times")
+            "the readings behind go back to their times")

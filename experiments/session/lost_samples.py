@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import Dataset, Flag, ReadingFault
+from daq import Dataset, ReadingFault
 from estimator import FitError, FitOptions
 from estimator.calibration import find_lost, lost_text, without_loss
 from estimator.model import Mechanism
@@ -42,6 +42,5 @@ def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Data
         row = lost.row + 1
         faults = tuple(ReadingFault(column, "lost", ((row, row),), float(lost.samples), "joined", text)
                        for column in lost.columns)
-        data = replace(without_loss(data, lost), flags=(*data.flags, Flag("readings", text)),
-                       readings=(*data.readings, *faults))
+        data = replace(without_loss(data, lost), readings=(*data.readings, *faults))
     return data

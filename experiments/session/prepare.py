@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msgspec import structs
@@ -61,6 +61,9 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     known_zeros = with_step_zeros(bare.datasets, bare.mechanism, bare.options)
     in_time = with_lost_samples(known_zeros, bare.mechanism, bare.options)
     kept, gone = usable_runs(in_time, bare.mechanism, bare.options)
+    if rig.sampling.as_read:
+        kept, gone = tuple(replace(data, readings=tuple(replace(fault, done="kept") for fault in told.readings))
+                           for data, told in zip(bare.datasets, in_time, strict=True)), ()
     choices = choose_terms(kept, rig, sensors, fixed) if choose else ()
     known = with_choices(rig, choices)
     return Prepared(setup_of(kept, known, sensors, fixed, latent, beta), known, gone, choices,
