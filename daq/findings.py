@@ -10,7 +10,7 @@ DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_m
 FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock",
                    "readings"]
 FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal", "standstill", "lost",
-                    "refused"]
+                    "refused", "start"]
 RemedyKind = Literal["left_out", "unwrapped", "joined", "zeroed", "kept"]
 DONE = {"left_out": "Left out", "unwrapped": "Unwrapped", "joined": "Joined", "zeroed": "Taken for zero",
         "kept": "Left as read"}

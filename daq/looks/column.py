@@ -41,6 +41,9 @@ class Look(NamedTuple):
     faults: tuple[ReadingFault, ...]
 
 
+_Kind = Callable[[str, FloatArray, FloatArray], "_Found"]
+
+
 class _Found(NamedTuple):
     x: FloatArray
     faults: list[ReadingFault]
@@ -63,7 +66,7 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
         if kind is None or known.size < 2:
             continue
         try:
-            found = kind(name, time_s[known], values[known])
+            found = _at_own_rate(kind, name, time_s[known], values[known])
         except InputError as error:
             if not as_read:
                 raise InputError(f"{where}, column {name}", error.what, error.remedy) from None
@@ -179,26 +182,29 @@ def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     return _Found(np.where(held, np.nan, found.x), [*found.faults, fault], found.unknown | held)
 
 
+def _at_own_rate(kind: _Kind, name: str, time_s: FloatArray, x: FloatArray) -> _Found:
+    """What `kind` finds in the readings of an angle or an IMU, of which repeats are left out before."""
+    times = repeats(x) if kind is not _look_at_torque else 1
+    if times == 1:
+        return kind(name, time_s, x)
+    own = np.zeros(x.size, bool)
+    own[plateaus_of(x).start] = True
+    found, out, unknown = kind(name, time_s[own], x[own]), np.full(x.size, np.nan), np.zeros(x.size, bool)
+    out[own], unknown[own] = found.x, found.unknown
+    text = f"{name} repeats each reading {times} times: it is sampled more slowly"
+    return _Found(out, [ReadingFault(name, "repeated", _places(~own), float(times), "left_out", text), *(
+        _moved(fault, np.flatnonzero(own)) for fault in found.faults)], unknown)
+
+
 def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     """Two series in turn are refused; then wraps, frozen and isolated readings, and steps of the zero."""
     faults = list[ReadingFault]()
-    none = np.zeros(x.size, bool)
     wraps = unwrapped(x) if name.endswith("_rad") else None
     if wraps is not None:
         x, modulus, at = wraps
         text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a "
                 "wrapped angle")
         faults.append(ReadingFault(name, "wrapped", tuple((k, k) for k in at.tolist()), modulus, "unwrapped", text))
-    times = repeats(x)
-    if times > 1:
-        places = plateaus_of(x)
-        again = np.ones(x.size, bool)
-        again[places.start] = False
-        text = f"{name} repeats each reading {times} times: it is sampled more slowly"
-        faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
-        found, out, unknown = _jumps(name, time_s[~again], x[~again]), np.full(x.size, np.nan), none.copy()
-        out[~again], unknown[~again] = found.x, found.unknown
-        return _Found(out, [*faults, *(_moved(fault, np.flatnonzero(~again)) for fault in found.faults)], unknown)
     if take_turns(x):
         raise InputError("", "two series take turns in it: neighbours are far apart, every other reading is near",
                          "write each sender into a column of its own")
@@ -238,5 +244,5 @@ def _jumps(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     return _Found(np.where(off | frozen, np.nan, x), faults, frozen)
 
 
-_KINDS: tuple[tuple[re.Pattern[str], Callable[[str, FloatArray, FloatArray], _Found]], ...] = (
+_KINDS: tuple[tuple[re.Pattern[str], _Kind], ...] = (
     (ANGLE, _look_at_angle), (TORQUE, _look_at_torque), (IMU, _look_at_imu))

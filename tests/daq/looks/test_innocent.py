@@ -52,7 +52,8 @@ def test_a_drive_may_hold_a_joint_while_another_moves() -> None:
     assert not look(time, columns).faults
 
 
-def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float) -> tuple[np.ndarray, np.ndarray, Look]:
+def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float
+          ) -> tuple[np.ndarray, np.ndarray, Look]:
     """A driven pendulum whose encoder reads `value` in `rows`: its angle, what is in the wrong rows, and the look."""
     time = np.arange(round(15.0 * rate_hz)) / rate_hz
     torque = 2.5 * np.sin(2.0 * np.pi * 0.45 * time) + 2.0 * np.sin(2.0 * np.pi * 0.83 * time + 1.0) + push
@@ -66,7 +67,8 @@ def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float
 
 
 @pytest.mark.parametrize(("value", "rows", "rate_hz", "push"), [
-    (0.0, [(300, 304), (900, 909), (1700, 1722)], 250.0, 2.0), (-1.0, [(120, 125), (430, 438), (1010, 1040)], 100.0, 9.0),
+    (0.0, [(300, 304), (900, 909), (1700, 1722)], 250.0, 2.0),
+    (-1.0, [(120, 125), (430, 438), (1010, 1040)], 100.0, 9.0),
     (3.2768, [(77, 84), (500, 506), (660, 669)], 60.0, 0.0)])
 def test_readings_lost_for_moments_are_left_out_and_nothing_behind_them_moves(
         value: float, rows: list[tuple[int, int]], rate_hz: float, push: float) -> None:
