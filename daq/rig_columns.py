@@ -16,6 +16,8 @@ class Column(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """As the file calls it."""
     unit: str = ""
     """Of the file; empty: the contract's own."""
+    minus: str = ""
+    """Another column of the file that is taken off the reading: an absolute angle becomes a relative one."""
     scale: float = 1.0
     """On top of the unit, a torque constant for one."""
     sign: Literal[1, -1] = 1

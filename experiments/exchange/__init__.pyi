@@ -7,9 +7,9 @@ from .column_map import is_guess as is_guess
 from .column_map import load_map as load_map
 from .column_map import map_text as map_text
 from .column_map import require_scales as require_scales
+from .column_map import runs_in as runs_in
 from .column_map import unscaled as unscaled
 from .exports import export_run as export_run
-from .expression import runs_in as runs_in
 from .guess import guess_map as guess_map
 from .guess_result import Guess as Guess
 from .imported import ImportedFile as ImportedFile

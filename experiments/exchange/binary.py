@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from daq import FloatArray, InputError
-from experiments.exchange.archives import read_archive
-from experiments.exchange.imported import ImportedFile, Wrong, as_floats, by_length
-from experiments.exchange.nested import vectors
+from experiments.exchange.archives import read_hdf5
+from experiments.exchange.imported import ImportedFile, Wrong, by_length
+from experiments.exchange.tree import columns_of
 
 OWN_FACTS = ("rate_hz", "clock_bound_s")
 """Facts of an own export that are not columns."""
 
 
 def read_mat(path: Path) -> ImportedFile:
-    """Vectors of a .mat file, called as in `nested`. Raises `InputError`, and what SciPy raises."""
+    """Vectors of a .mat file, called as in `tree`. Raises `InputError`, and what SciPy raises."""
     from scipy.io import loadmat
 
     try:
@@ -27,13 +27,14 @@ def read_mat(path: Path) -> ImportedFile:
             warnings.simplefilter("always")
             content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:  # version 7.3
-        return read_archive(path)
+        return read_hdf5(path)
     objects = {name: why for value in content.values() for name, why in _objects(value)}
-    columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__") and not list(_objects(v))}))
+    columns, left_out = columns_of({name: value for name, value in content.items()
+                                    if not name.startswith("__") and not list(_objects(value))})
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
     twice = [found[1] for one in told if (found := re.search('Duplicate variable name "(.+?)"', str(one.message)))]
-    return ImportedFile(path.name, by_length(columns), facts, objects, wrong=tuple(
+    return ImportedFile(path.name, by_length(columns), facts, left_out | objects, wrong=tuple(
         Wrong("the first of two variables", name, "has the name of the second") for name in twice))
 
 
@@ -49,8 +50,15 @@ def _objects(value: object) -> Iterator[tuple[str, str]]:
                          "instead")
 
 
+def _floats(values: np.ndarray) -> FloatArray | None:
+    """(n,) floats, times as seconds from the first; None where `values` are no column of numbers."""
+    if values.size > 1 and values.dtype.kind == "M":
+        return (values - values[0]).astype("timedelta64[ns]").astype(np.float64) * 1e-9
+    return values.astype(np.float64) if values.size > 1 and values.dtype.kind in "fiub" else None
+
+
 def read_parquet(path: Path) -> ImportedFile:
-    """Columns of numbers of a Parquet file, those of a list called as in `nested`; null is NaN.
+    """Columns of numbers of a Parquet file, those of a list called as in `tree`; null is NaN.
 
     Raises `InputError`, and what PyArrow raises.
     """
@@ -63,12 +71,12 @@ def read_parquet(path: Path) -> ImportedFile:
     columns: dict[str, FloatArray] = {}
     left_out: dict[str, str] = {}
     for name in table.column_names:
-        numbers = as_floats(table[name].to_numpy())
+        numbers = _floats(table[name].to_numpy())
         if numbers is not None:
             columns[name] = numbers
             continue
         lists = types.is_list(table[name].type) or types.is_fixed_size_list(table[name].type)
-        parts = dict(vectors(table[name].to_pylist(), name)) if lists else {}
+        parts, _ = columns_of(table[name].to_pylist(), name) if lists else ({}, {})
         columns |= parts
         if not parts:
             left_out[name] = f"holds {table[name].type}, no column of numbers"

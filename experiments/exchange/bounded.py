@@ -8,17 +8,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 
-from daq import InputError
+from daq import FloatArray, InputError
 from experiments.bounded_child import Bounds, answer_of_child, ended_early
-from experiments.exchange.imported import ImportedFile, Table, Wrong
+from experiments.exchange.imported import ImportedFile
 
 BASE_BYTES, BYTES_PER_BYTE = 700 << 20, 20
 """A reader may take so much memory, and so many times its file's size more."""
@@ -27,22 +27,6 @@ BASE_S, BYTES_PER_S = 6.0, 1 << 20
 MOST_COLUMNS, MOST_VALUES = 4096, 1 << 25
 MOST_WRONG = 1 << 16
 """Wrong cells that are handed on; who tells a person names a few."""
-
-
-class _Table(Struct):
-    names: list[str]
-    rows: int
-    timed: bool
-
-
-class _Head(Struct):
-    """What comes before the numbers."""
-
-    name: str = ""
-    tables: list[_Table] = []
-    facts: dict[str, str] = {}
-    left_out: dict[str, str] = {}
-    wrong: list[tuple[str, str, str]] = []
 
 
 class Reader(NamedTuple):
@@ -68,12 +52,6 @@ def read_bounded(reader: Reader, path: Path, size: int) -> ImportedFile:
 # -- in the child ------------------------------------------------------------------------------------------------------
 
 
-def _line(head: _Head) -> bytes:
-    """JSON in a line whose length is a multiple of 8: the numbers behind it can be used where they are."""
-    text = json.dumps(msgspec.to_builtins(head)).encode()  # names of any characters, halves of some too
-    return text + b" " * (-(len(text) + 1) % 8) + b"\n"
-
-
 def _checked(imported: ImportedFile, path: Path) -> ImportedFile:
     columns = len(imported.names) + len(imported.left_out)
     if columns > MOST_COLUMNS:
@@ -83,21 +61,19 @@ def _checked(imported: ImportedFile, path: Path) -> ImportedFile:
     if values > MOST_VALUES:
         raise InputError(str(path), f"holds {values:.3g} numbers, {MOST_VALUES:.3g} are read",
                          "give a smaller part of it")
-    return imported
+    return replace(imported, wrong=imported.wrong[:MOST_WRONG])
 
 
 def _packed(imported: ImportedFile) -> list[bytes]:
-    """A line of JSON, and the numbers behind it."""
-    head = _Head(imported.name, [_Table(list(t.columns), _rows(t), t.time_s is not None) for t in imported.tables],
-                 dict(imported.facts), dict(imported.left_out),
-                 [(w.place, w.column, w.why) for w in imported.wrong[:MOST_WRONG]])
-    arrays = [array for table in imported.tables for array in
-              (*table.columns.values(), *(() if table.time_s is None else (table.time_s,)))]
-    return [_line(head), *(np.ascontiguousarray(a, dtype="<f8").tobytes() for a in arrays)]
+    """A line of JSON with the length of each array, and the arrays' numbers behind it."""
+    arrays: list[bytes] = []
 
+    def aside(array: FloatArray) -> int:
+        arrays.append(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return array.size
 
-def _rows(table: Table) -> int:
-    return next((column.size for column in table.columns.values()), 0)
+    head = json.dumps(msgspec.to_builtins(imported, enc_hook=aside)).encode()  # names of any characters, halves of some
+    return [head + b" " * (-(len(head) + 1) % 8) + b"\n", *arrays]  # numbers can be used where they are
 
 
 # -- in the parent -----------------------------------------------------------------------------------------------------
@@ -107,18 +83,16 @@ def _unpacked(data: bytearray, where: str) -> ImportedFile:
     """What the child sent. Raises `InputError` for anything that is not what it should send."""
     try:
         at = data.index(b"\n") + 1
-        found = msgspec.convert(json.loads(data[:at]), _Head)
-        tables = []
-        for table in found.tables:
-            arrays = []
-            for _ in range(len(table.names) + table.timed):
-                arrays.append(np.frombuffer(data, "<f8", table.rows, at))
-                at += 8 * table.rows
-            columns = dict(zip(table.names, arrays))
-            tables.append(Table(columns, arrays[-1] if table.timed else None))
+        head = json.loads(data[:at])
+
+        def numbers(_: type, size: int) -> FloatArray:
+            nonlocal at
+            at += 8 * size
+            return np.frombuffer(data, "<f8", size, at - 8 * size)
+
+        found = msgspec.convert(head, ImportedFile, dec_hook=numbers)
         if at != len(data):
             raise ValueError
     except (ValueError, msgspec.MsgspecError):
         raise ended_early(where) from None
-    return ImportedFile(found.name, tuple(tables), found.facts, found.left_out,
-                        tuple(Wrong(*one) for one in found.wrong))
+    return found

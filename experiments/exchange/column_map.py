@@ -1,7 +1,7 @@
 """COLUMNS.toml: which column of a file is which of the contract, and in what unit.
 
-The same table stands in a rig.toml as `[columns]`. value = sign * scale * unit * reading + offset, at the time of the
-reading less its delay.
+The same table stands in a rig.toml as `[columns]`. value = sign * scale * unit * (reading - minus) + offset, at the
+time of the reading less its delay.
 """
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import msgspec
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from daq import Column, Dataset, Flag, FloatArray, InputError, comment, quoted, read_bytes
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwrapped_counter
 from daq.timing import TimedColumns, align_channels, own_rate
-from experiments.exchange.expression import ANY, names_in, with_computed
 from experiments.exchange.imported import ImportedFile, Table, Wrong
 from experiments.exchange.registers import signed
 from experiments.exchange.units import factor, plain_unit
@@ -36,6 +37,10 @@ MOST_TOLD = 4
 """Wrong rows that are named one by one."""
 MOST_BYTES = 1 << 20
 """Of a map of columns."""
+ANY = "{*}"
+"""In a map, the number of a run in a file of several: one run is made of each."""
+EXPRESSION = re.compile(r"\s[-+/]\s|\*")
+"""What a name has that is meant as an expression."""
 Key = tuple[int, float]
 
 
@@ -65,6 +70,11 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
             raise InputError(f"{where}, columns.{name}", "has a scale, offset or delay that is no finite number",
                              "correct it; a scale is not 0")
     return columns
+
+
+def only_time(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The entry of `found` for the time; empty without one."""
+    return {TIME: found[TIME]} if TIME in found else {}
 
 
 def require_scales(columns: ColumnMap, where: str) -> None:
@@ -119,8 +129,25 @@ def is_guess(path: Path) -> bool:
 
 
 def applies(imported: ImportedFile, columns: ColumnMap) -> bool:
-    """The file has a column that the map names."""
-    return any(any(names_in(column.name, imported.names)) for column in columns.values())
+    """The file has a column that the map names, or the map names an expression."""
+    return any(column.name in imported.names or EXPRESSION.search(column.name) for column in columns.values())
+
+
+def runs_in(imported: ImportedFile, columns: ColumnMap) -> list[tuple[str, dict[str, Column]]]:
+    """(ending of its name, map) of every run that the map finds: one, or with `{*}` one for each number."""
+    if not any(ANY in column.name for column in columns.values()):
+        return [("", dict(columns))]
+    numbers = sorted({int(k) for name in imported.names for k in re.findall(r"\{(\d+)\}", name)})
+    out = []
+    for k in numbers:
+        own = {name: structs.replace(column, name=column.name.replace(ANY, f"{{{k}}}"),
+                                     minus=column.minus.replace(ANY, f"{{{k}}}")) for name, column in columns.items()}
+        if all(column.name in imported.names for column in own.values()):
+            out.append((f"-{k:0{len(str(numbers[-1]))}d}", own))
+    if not out:
+        raise InputError(imported.name, f"has no numbered run that holds all of the map's columns with {ANY}",
+                         "name them as legid import shows them")
+    return out
 
 
 def identity(imported: ImportedFile) -> dict[str, Column]:
@@ -141,7 +168,10 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     if any(ANY in column.name for column in whole.values()):
         raise InputError(imported.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
                          "file a run")
-    imported = with_computed(imported, whole)
+    for column in whole.values():
+        if EXPRESSION.search(column.name) and column.name not in (*imported.names, *imported.left_out):
+            raise InputError(imported.name, f"has no column {column.name!r}, and a map computes nothing",
+                             "compute it before the import, or take one column off another by minus")
     lacks = {name: column.name for name, column in whole.items() if COMMAND.fullmatch(name)
              and column.name not in imported.names and column.name not in imported.left_out}
     whole = {name: column for name, column in whole.items() if name not in lacks}
@@ -152,7 +182,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     if len(run) < MIN_SAMPLES:
         raise InputError(imported.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")
-    used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
+    used = {name for column in whole.values() for name in (column.name, column.minus)}
     wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
     told = [Flag("rows", f"has no column {column!r}, and so no {name}") for name, column in lacks.items()]
     told += [Flag("rows", _told(wrong))] if wrong else []
@@ -185,11 +215,13 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
             clock, flags[TIME] = wraps.time, wraps.flag(TIME)
         clocks[key] = clock - column.delay
         read = signed(table.columns[column.name], column)
+        if column.minus:
+            read = read - signed(_on_times_of(table, imported, column.minus), column)
         scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
         far = np.flatnonzero(np.abs(values) > MOST)
         wrong += [Wrong(f"row {k + 1}", column.name, f"is {values[k]:.3g}, larger than any reading") for k in far]
-        groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values) if far.size else values
+        groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values)
     out = []
     for key, group in groups.items():
         rows = _increasing(imported.name, clocks[key])
@@ -199,6 +231,18 @@ def _channels(imported: ImportedFile, columns: ColumnMap,
         for times, names in _sparse({name: values[rows] for name, values in group.items()}, clocks[key][rows]):
             out.append(TimedColumns(times, names))
     return out, wrong, tuple(flags.values())
+
+
+def _on_times_of(home: Table, imported: ImportedFile, name: str) -> FloatArray:
+    """Column `name` at the times of `home`, by straight lines where it has times of its own."""
+    table = imported.table_of(name)
+    values = table.columns[name]
+    if table is home:
+        return values
+    if table.time_s is None or home.time_s is None:
+        raise InputError(imported.name, f"column {name!r} has {values.size} rows, that which it is taken off "
+                                       f"{next(iter(home.columns.values())).size}", "save them with one time for all")
+    return np.interp(home.time_s, table.time_s, values, left=np.nan, right=np.nan)
 
 
 def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: float | None) -> FloatArray:
@@ -218,7 +262,7 @@ def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: fl
                                        f"{next(iter(table.columns.values())).size} samples in other columns",
                          "save them with one time for all")
     time_s = column.scale * factor(column.unit, TIME, imported.name) * read + column.offset
-    return np.asarray(time_s - time_s[0]) if (column.unit, column.scale) != ("", 1.0) else np.asarray(time_s)
+    return time_s - time_s[0] if (column.unit, column.scale) != ("", 1.0) else time_s
 
 
 def _increasing(where: str, time_s: FloatArray) -> NDArray[np.intp]:

@@ -53,7 +53,7 @@ def read_delimited(path: Path) -> ImportedFile:
     names = _names(lines, dialect)
     columns: list[list[float]] = [[] for _ in names]
     bad: dict[int, list[Wrong]] = defaultdict(list)
-    long: list[Wrong] = []
+    rows, long = list[list[str]](), list[Wrong]()
     for number, line in enumerate(lines[dialect.first:], dialect.first + 1):
         if not line.strip():
             continue
@@ -61,31 +61,24 @@ def read_delimited(path: Path) -> ImportedFile:
         if len(cells) > len(names) and any(c.strip() for c in cells[len(names):]):
             long.append(Wrong(f"line {number}", "", f"has {len(cells)} cells, the lines before {len(names)}"))
             continue
+        rows.append(cells)
         for k in range(len(names)):
             value = _number(cells[k], dialect.decimal) if k < len(cells) else math.nan
             if value is None:
                 bad[k].append(Wrong(f"line {number}", names[k], f"holds {cells[k].strip()[:40]!r}"))
                 value = math.nan
             columns[k].append(value)
-    most = MOST_WRONG * len(columns[0])
+    most = MOST_WRONG * len(rows)
     if len(long) > most:
         raise InputError(f"{path}, {long[0].place}", long[0].why, "fix or cut the line")
     for k in [k for k, cells in bad.items() if len(cells) > most]:
-        times = read_times(_cells_of(lines, dialect, k, len(columns[0]), len(names)))
+        times = read_times([cells[k] if k < len(cells) else "" for cells in rows])
         if times is not None:
             columns[k], bad[k] = times.tolist(), []
     text = {k: f"{cells[0].why} in {cells[0].place}" for k, cells in bad.items() if len(cells) > most}
     kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in text}
     wrong = tuple([*long, *(one for k, cells in bad.items() if k not in text for one in cells)])
     return ImportedFile(path.name, (Table(kept),), left_out={names[k]: what for k, what in text.items()}, wrong=wrong)
-
-
-def _cells_of(lines: list[str], dialect: Dialect, k: int, rows: int, width: int) -> list[str]:
-    """The `rows` cells of column `k`, as text."""
-    split = (_split(line, dialect.separator) for line in lines[dialect.first:] if line.strip())
-    cells = [row[k] if k < len(row) else "" for row in split
-             if len(row) <= width or not any(c.strip() for c in row[width:])]
-    return cells[:rows]
 
 
 def _lines(path: Path) -> list[str]:
@@ -125,15 +118,9 @@ def _number(cell: str, decimal: str) -> float | None:
 
 def _sniff(lines: list[str]) -> Dialect | None:
     """The dialect with most numbers in the first lines."""
-    best, most = None, 0
-    for separator in SEPARATORS:
-        for decimal in ".,":
-            if decimal == separator:
-                continue
-            found = _block(lines[:SNIFFED_LINES], separator, decimal)
-            if found is not None and found[1] > most:
-                best, most = found
-    return best
+    found = [block for separator in SEPARATORS for decimal in ".," if decimal != separator
+             and (block := _block(lines[:SNIFFED_LINES], separator, decimal)) is not None]
+    return max(found, key=lambda block: block[1], default=(None, 0))[0]
 
 
 def _block(lines: list[str], separator: str, decimal: str) -> tuple[Dialect, int] | None:

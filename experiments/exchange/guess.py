@@ -24,9 +24,9 @@ from dataclasses import replace
 import numpy as np
 from msgspec import structs
 
-from daq import Column, Dataset, InputError
-from experiments.exchange.column_map import TIME, apply_map
-from experiments.exchange.guess_chain import driven_joints, find_chain, same_joint
+from daq import Column, InputError
+from experiments.exchange.column_map import apply_map, only_time
+from experiments.exchange.guess_chain import find_chain, of_joints, same_joint
 from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_loads, with_rates
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_leg import guess_leg
@@ -35,20 +35,22 @@ from experiments.exchange.guess_names import (
     WORDS,
     WRENCH,
     changes,
+    clock_of,
     fitting,
     has,
     lacking,
+    measured_columns,
+    says,
     time_column,
     usable,
 )
+from experiments.exchange.guess_physics import Found
 from experiments.exchange.guess_result import Guess
-from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import chosen_joints, first_run
 from experiments.exchange.layouts import layout_warnings, stated
 from experiments.exchange.units import unit_in_name
 
-TORSO = r"torso|trunk"
 MAYBE_TORQUE = r"^[^a-z]*(u|input|control)[^a-z]*$"
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
@@ -56,19 +58,19 @@ MADE_OF_OTHERS = 1e-4
 
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float | None = None,
               joints: Sequence[str] = ()) -> Guess:
-    """Columns of `imported` with units and signs, for a hanging leg, a single joint, a chain or a walker.
+    """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain.
 
     A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
-    more, or with two torques, is a chain's whose joints all have encoders. Three angles and two torques may be a
-    walker's, which touchdowns show. Without torques, angles that follow commands are joints under position control.
-    `joints` names those of many joints that are taken, a chain's from its base on. A file without times has `rate_hz`
-    rows a second. Raises `InputError`.
+    more, or with two torques, is a chain's whose joints all have encoders. Without torques, angles that follow
+    commands are joints under position control. `joints` names those of many joints that are taken, a chain's from its
+    base on. A file without times has `rate_hz` rows a second. Raises `InputError`.
     """
     if rate_hz is not None:
         imported = _timed(imported, rate_hz)
     one, cell = first_run(imported)
     guess = _guess_one(chosen_joints(one, joints) if joints else one, gravity_mps2)
-    columns = {name: structs.replace(column, name=f"{column.name}{cell}") for name, column in guess.columns.items()}
+    columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
+               for name, column in guess.columns.items()}
     return replace(guess, columns=columns,
                    warnings=[*guess.warnings, *layout_warnings(one, guess.columns)])
 
@@ -110,33 +112,31 @@ def _timed(imported: ImportedFile, rate_hz: float) -> ImportedFile:
 
 def _is_joint(imported: ImportedFile) -> bool:
     """One measured angle, at most one measured torque, and no sensor of a leg: neither read nor left out."""
-    angles = len(fitting(imported, "q1", True)) + len(fitting(imported, "q2", True))
-    torques = len(fitting(imported, "tau", True)) if has(imported, "tau") else 1
-    return angles == 1 and torques == 1 and not has(imported, "gyro", "accel")
+    return len(measured_columns(imported, "q1", "q2")) == 1 and not has(imported, "gyro", "accel") and (
+        len(fitting(imported, "tau")) == 1 or not has(imported, "tau"))
 
 
 def _is_chain(imported: ImportedFile) -> bool:
-    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out, but
-    a torso's."""
-    angles, torques = _angles(imported), fitting(imported, "tau", True)
+    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out."""
+    angles, torques = _angles(imported), fitting(imported, "tau")
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (
         len(angles) > 2 or (len(torques) == 2 and not same_joint(angles, torques)))
     some |= 2 <= len(angles) <= MOST_LINKS and not has(imported, "tau")
-    return some and (not has(imported, "gyro", "accel") or bool(re.search(TORSO, " ".join(angles), re.IGNORECASE)))
+    return some and not has(imported, "gyro", "accel")
 
 
 def _angles(imported: ImportedFile) -> list[str]:
     """Columns that are measured angles by their names, without those that are sums of others: by their numbers where
     each has one, else as in the file."""
-    names = sorted([*fitting(imported, "q1", True), *fitting(imported, "q2", True)], key=imported.names.index)
-    own = _independent(imported, names, driven_joints(names, fitting(imported, "tau", True)).values())
+    names = measured_columns(imported, "q1", "q2")
+    own = _independent(imported, names, of_joints(names, fitting(imported, "tau")))
     numbers = [re.findall(r"\d+", name) for name in own]
     return sorted(own, key=lambda name: int(re.findall(r"\d+", name)[-1])) if all(numbers) else own
 
 
 def _independent(imported: ImportedFile, names: list[str], driven: Collection[int]) -> list[str]:
     """Those of `names` that are no linear combination of others; angles of `driven` joints are kept before others."""
-    values = [imported.table_of(name).columns[name] for name in names]
+    values = [imported.values(name) for name in names]
     if len({x.size for x in values}) != 1:  # signals with times of their own
         return names
     known = usable(np.array(values)).all(axis=0)
@@ -154,48 +154,41 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
                  ) -> Guess:
-    """The guess for a chain of joints, each with an encoder, or for a walker."""
+    """The guess for a chain of joints, each with an encoder."""
     angles = _angles(imported)
-    driven = driven_joints(angles, sorted(fitting(imported, "tau", True), key=imported.names.index))
-    time = {TIME: columns[TIME]} if TIME in columns else {}
-
-    def put(order: Sequence[int]) -> tuple[dict[str, Column], Dataset]:
-        theirs = {f"q{k}_rad": Column(name=angles[j], unit=unit_in_name(angles[j], "q2_rad"))
-                  for k, j in enumerate(order, 1)}
-        theirs |= {f"tau{order.index(j) + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm"))
-                   for name, j in driven.items()}
-        return theirs, apply_map(imported, time | theirs)
-
-    theirs, raw = put(range(len(angles)))
+    driven = of_joints(angles, measured_columns(imported, "tau"))
+    theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
+    theirs |= {f"tau{j + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm")) for j, name in driven.items()}
+    raw = apply_map(imported, only_time(columns) | theirs)
     wrenches = [] if driven else _wrenches(imported)
     if wrenches:
-        unknown = {name: "NOT KNOWN: no column is known to be its torque" for name in theirs if name != TIME}
-        return Guess(theirs | time, unknown, [], wrenches, raw)
+        unknown = dict.fromkeys(theirs, "NOT KNOWN: no column is known to be its torque")
+        return Guess(theirs | only_time(columns), unknown, [], wrenches, raw)
     found = find_chain(raw, theirs, gravity_mps2)
-    if len(angles) == 3 and len(driven) == 2:
-        theirs, raw = put(sorted(range(3), key=lambda j: (j in driven.values(), j)))
-        found = walker_or_chain(find_walker(raw, theirs, gravity_mps2), found)
-    theirs = found.columns | time
-    reasons = {TIME: notes[TIME]} if TIME in notes else {}
+    return _guess_of(imported, columns, notes, found, [] if driven else _maybe_torques(imported))
+
+
+def _guess_of(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], found: Found,
+              more: Sequence[str] = ()) -> Guess:
+    """The guess by what physics found, with the time of `columns` and `more` warnings."""
+    theirs = found.columns | only_time(columns)
     last = max((name for name in theirs if name.startswith("tau")), default="")
     what = f"{last}: measured, and computed from the motion [N m]" if last else \
         "acceleration: measured, and computed from gravity and friction [rad/s²]"
-    maybe = [] if driven else _maybe_torques(imported)
-    return Guess(theirs, reasons | found.notes, [*found.warnings, *maybe], found.unexplained,
+    return Guess(theirs, only_time(notes) | found.notes, [*found.warnings, *more], found.unexplained,
                  apply_map(imported, theirs), {what: found.check})
 
 
 def _maybe_torques(imported: ImportedFile) -> list[str]:
     """A warning for each column that may be a torque, though its name does not say which."""
     return [f"{name!r} may be a torque: name the joint that it drives by [columns.tau1_nm] or [columns.tau2_nm]"
-            for name in imported.names if re.match(MAYBE_TORQUE, name, re.IGNORECASE)
-            and changes(imported.table_of(name).columns[name])]
+            for name in imported.names if says(name, MAYBE_TORQUE) and changes(imported.values(name))]
 
 
 def _wrenches(imported: ImportedFile) -> list[str]:
     """One line where a sensor of six axes may hold a joint's torque."""
-    axes = [name for name in imported.names if re.search(WRENCH, name, re.IGNORECASE)]
-    moments = [name for name in axes if re.search("torque|moment|/m[xyz]", name, re.IGNORECASE)]
+    axes = [name for name in imported.names if says(name, WRENCH)]
+    moments = [name for name in axes if says(name, "torque|moment|/m[xyz]")]
     if not axes:
         return []
     return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the "
@@ -206,14 +199,7 @@ def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict
     """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
     theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"]}
     theirs |= {"tau1_nm": columns["tau2_nm"]} if "tau2_nm" in columns else {}
-    theirs |= {TIME: columns[TIME]} if TIME in columns else {}
-    joint = find_joint(apply_map(imported, theirs), theirs)
-    theirs |= joint.columns
-    reasons = {TIME: notes[TIME]} if TIME in notes else {}
-    what = "tau1_nm: measured, and computed from the motion [N m]" if "tau1_nm" in theirs else \
-        "acceleration: measured, and computed from gravity and friction [rad/s²]"
-    curves = {what: joint.check}
-    return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(imported, theirs), curves)
+    return _guess_of(imported, columns, notes, find_joint(apply_map(imported, theirs | only_time(columns)), theirs))
 
 
 def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str], list[Column]]:
@@ -232,6 +218,5 @@ def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str],
                 rivals = [stated(imported, other, name) for other in others[:MOST_RIVALS]]
             elif others:
                 notes[name] += f" (as {', '.join(map(repr, others[:MOST_RIVALS]))} could be)"
-    if any(table.time_s is None for table in imported.tables):
-        columns[TIME], notes[TIME] = time_column(imported)
-    return columns, notes, rivals
+    clock, reasons = clock_of(imported)
+    return columns | clock, notes | reasons, rivals

@@ -7,25 +7,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import structs
 from scipy.optimize import linear_sum_assignment
 
 from daq import Column, Dataset, FloatArray
 from estimator.model import Mechanism, chain
-from estimator.signals import lowpass
 from experiments.exchange.guess_physics import (
     ANGLE_UNITS,
     CLEAR,
     EXPLAINS,
     NOT_SURE,
+    SIGNS,
     SMOOTHING_RADPS,
     Found,
-    band_hz,
-    filled,
+    Sign,
     inside,
     scale_warnings,
+    share_left,
+    smooth,
 )
 
 MOST_ROWS = 1500
@@ -37,29 +37,29 @@ HANGS_RAD = 0.1
 
 
 @dataclass(frozen=True)
-class Reading:
+class _Reading:
     """The angles in one unit, relative or absolute, with signs of angles and torques."""
 
     left: float
     """Residual of the torques, as a share of their standard deviation."""
     unit: str
     absolute: bool
-    signs: tuple[int, ...]
-    works: tuple[int, ...]
+    signs: tuple[Sign, ...]
+    works: tuple[Sign, ...]
     q: FloatArray
     """(N, n) [rad]"""
     beta: FloatArray
     """(p,) by least squares"""
 
 
-def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, int]:
-    """Torque column -> joint from 0, by the words and numbers that its name shares with that of an angle."""
-    if not torques:
+def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
+    """Joint from 0 -> its torque or command, by the words and numbers that a name shares with that of an angle."""
+    if not others:
         return {}
-    shared = _shared(angles, torques)
-    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(torques)), np.arange(len(angles))))
+    shared = _shared(angles, others)
+    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(others)), np.arange(len(angles))))
     rows, columns = linear_sum_assignment(-(shared + order))
-    return {torques[int(row)]: int(column) for row, column in zip(rows, columns)}
+    return {int(column): others[int(row)] for row, column in zip(rows, columns)}
 
 
 def same_joint(angles: Sequence[str], torques: Sequence[str]) -> bool:
@@ -93,25 +93,20 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     first = ranked[0]
     z = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
     if driven:
-        read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
+        read = first.works[-1] * smooth(raw[f"tau{driven[-1] + 1}_nm"], raw.rate_hz)
         made = z @ first.beta
     else:
         read, made = z[:, 0], z[:, 0] - z @ first.beta
-    found = told(ranked, columns, (read, made), range(-1, n - 1), "a mechanism that is no open chain")
+    found = _found(ranked, columns, (read, made))
     tilt = _hangs_at(mechanism, first.beta)
     if not found.unexplained and abs(tilt) > HANGS_RAD:
-        found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression "
-                              "as the column's name")
+        found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: set offset = {-tilt:.2f} under "
+                              "[columns.q1_rad]")
     return found
 
 
-def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray],
-         before: Sequence[int], otherwise: str) -> Found:
-    """The map by the first of `ranked`, with reasons and warnings.
-
-    `before` is the joint from which a joint's relative angle counts, from 0; `otherwise` says what else a file may hold
-    that no reading explains.
-    """
+def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
+    """The map by the first of `ranked`, with reasons and warnings."""
     first = ranked[0]
     second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
     sure = second.left >= CLEAR * first.left
@@ -124,7 +119,8 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     if first.left > EXPLAINS:
         named = ", ".join(repr(columns[name].name) for name in angles)
         why = (f"no unit and signs of {named} explain {what} (the best leave {100 * first.left:.0f} %): too "
-               f"little motion, a motor's angle before its gear, another order of the joints, or {otherwise}")
+               "little motion, a motor's angle before its gear, another order of the joints, or a mechanism that is no "
+               "open chain")
         notes = {name: f"NOT KNOWN: no unit and signs explain {what}" for name in angles}
         notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
         return Found(dict(columns), notes, warnings, [why], check, left=first.left)
@@ -134,83 +130,68 @@ def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[
     prefix = "" if sure else NOT_SURE
     found, notes = {}, {}
     for k, (column, sign) in enumerate(zip(angles, first.signs)):
-        angle, less = columns[column], ""
-        name, unit = angle.name, angle.unit or first.unit
-        if first.absolute and k:
-            less = columns[angles[before[k]]].name
-            name = f"'{name}' - '{less}'"
-        found[column] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
+        angle, less = columns[column], columns[angles[k - 1]].name if first.absolute and k else ""
+        unit = angle.unit or first.unit
+        found[column] = structs.replace(angle, unit=unit, minus=less, sign=sign)
         notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
                          f"motion leaves {100 * first.left:.1f} % of {what} (next best: {100 * second.left:.0f} %)")
     for column, sign in zip(torques, first.works):
-        found[column] = msgspec.structs.replace(columns[column], sign=1 if sign > 0 else -1)
+        found[column] = structs.replace(columns[column], sign=sign)
         notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
     return Found(found, notes, warnings, [], check, left=first.left)
 
 
-def _told(one: Reading) -> str:
+def _told(one: _Reading) -> str:
     return (f"{one.unit or 'rad'}{', absolute' if one.absolute else ''}, signs of angles "
             f"{' '.join(f'{s:+d}' for s in one.signs)}, of torques {' '.join(f'{s:+d}' for s in one.works)}")
 
 
 def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
-              ) -> Iterator[Reading]:
+              ) -> Iterator[_Reading]:
     """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
-    n, cutoff = mechanism.n, band_hz(raw.rate_hz)
+    n = mechanism.n
     names = [f"q{k + 1}_rad" for k in range(n)]
-    angles = np.stack([lowpass(filled(raw[name]), cutoff, raw.rate_hz) for name in names], axis=-1)
+    angles = np.stack([smooth(raw[name], raw.rate_hz) for name in names], axis=-1)
     torque = np.zeros((len(raw), n))
     for j in driven:
-        torque[:, j] = lowpass(filled(raw[f"tau{j + 1}_nm"]), cutoff, raw.rate_hz)
+        torque[:, j] = smooth(raw[f"tau{j + 1}_nm"], raw.rate_hz)
     use = inside(raw, [*names, *(f"tau{j + 1}_nm" for j in driven)])
     rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
     stated = [bool(columns[name].unit) for name in names]
-    variants = [(False, (1, *signs)) for signs in product((1, -1), repeat=n - 1)] + [(True, (1,) * n)]
+    variants = [(False, (*SIGNS[:1], *signs)) for signs in product(SIGNS, repeat=n - 1)] + [(True, SIGNS[:1] * n)]
     for (unit, scale), (absolute, signs) in product(ANGLE_UNITS.items(), variants):
         if all(stated) and unit:
             continue
         q = angles * np.where(stated, 1.0, scale) * np.array(signs)
         if absolute:
             q = np.diff(q, axis=-1, prepend=0.0)
-        yield from _by_torque_signs(mechanism, q, torque, rows, driven, raw.rate_hz, (unit, absolute, signs))
+        z = _regressor(mechanism, q, raw.rate_hz)[rows]
+        for works, left, beta in _fits(z, torque[rows], driven):
+            inertia = mechanism.inertia_matrix(q[rows[:: max(1, rows.size // POSES)]], beta[: mechanism.p])
+            possible = np.linalg.eigvalsh(inertia).min() > 0.0
+            yield _Reading(left if possible else max(left, 1.0), unit, absolute, signs, works, q, beta)
 
 
-def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, rows: NDArray[np.intp],
-                     driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[int, ...]]
-                     ) -> Iterator[Reading]:
-    """Least squares of the equation of motion for every sign of the torques.
+def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
+          ) -> Iterator[tuple[tuple[Sign, ...], float, FloatArray]]:
+    """Signs of the torques (m, n), what least squares of the equation of motion leaves of them, and its parameters.
 
-    The normal equations are put up once: the signs enter their right-hand side alone.
+    The normal equations are put up once: the signs enter their right-hand side alone. Without a motor Z beta = 0 is
+    solved in units of the first inertia.
     """
-    z = _regressor(mechanism, q, rate_hz)[rows]
     flat = z.reshape(-1, z.shape[-1])
-    inverse = np.linalg.pinv(flat.T @ flat, hermitian=True)
-    parts = np.einsum("njk,nj->jk", z, torque[rows])
-    power = float(np.sum(torque[rows] ** 2))
-    spread = max(float(np.sum(np.var(torque[rows], axis=0))) * rows.size, 1e-30)
-    poses = q[rows[:: max(1, rows.size // POSES)]]
     if not driven:
-        yield _swinging(mechanism, q, z, poses, read)
+        rest = np.linalg.lstsq(flat[:, 1:], -flat[:, 0], rcond=None)[0]
+        yield (), share_left(-flat[:, 0], flat[:, 1:] @ rest), np.append(1.0, rest)
         return
-    for works in product((1, -1), repeat=len(driven)):
+    inverse = np.linalg.pinv(flat.T @ flat, hermitian=True)
+    parts = np.einsum("njk,nj->jk", z, torque)
+    power = float(np.sum(torque**2))
+    spread = max(float(np.sum(np.var(torque, axis=0))) * len(torque), 1e-30)
+    for works in product(SIGNS, repeat=len(driven)):
         right = np.array(works, dtype=float) @ parts[list(driven)]
         beta = inverse @ right
-        left = float(np.sqrt(max(power - right @ beta, 0.0) / spread))
-        if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
-            left = max(left, 1.0)
-        yield Reading(left, *read, works, q, beta)
-
-
-def _swinging(mechanism: Mechanism, q: FloatArray, z: FloatArray, poses: FloatArray,
-              read: tuple[str, bool, tuple[int, ...]]) -> Reading:
-    """Z beta = 0 of a chain that no motor drives, by its rows z (m, n, k), in units of the first inertia."""
-    rows, wanted = z[..., 1:].reshape(-1, z.shape[-1] - 1), -z[..., 0].ravel()
-    rest = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    left = float(np.linalg.norm(rows @ rest - wanted) / max(float(np.linalg.norm(wanted)), 1e-30))
-    beta = np.append(1.0, rest)
-    if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
-        left = max(left, 1.0)
-    return Reading(left, *read, (), q, beta)
+        yield works, float(np.sqrt(max(power - right @ beta, 0.0) / spread)), beta
 
 
 def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:

@@ -11,9 +11,10 @@ from msgspec import structs
 
 from daq import Column
 from daq.runs import ENABLED
-from experiments.exchange.column_map import TIME, apply_map
+from experiments.exchange.column_map import apply_map, only_time
+from experiments.exchange.guess_chain import of_joints
 from experiments.exchange.guess_leg import guess_leg
-from experiments.exchange.guess_names import fitting, has, time_column
+from experiments.exchange.guess_names import clock_of, fitting, has, measured_columns
 from experiments.exchange.guess_physics import NOT_SURE
 from experiments.exchange.guess_result import Guess
 from experiments.exchange.guess_servo import (
@@ -24,13 +25,12 @@ from experiments.exchange.guess_servo import (
     followed,
     is_rate_of,
     not_following,
-    pair_commands,
     rates_of,
     read_command,
     servo_hint,
 )
 from experiments.exchange.imported import ImportedFile
-from experiments.exchange.joint_choice import measured_angles, too_many
+from experiments.exchange.joint_choice import too_many
 from experiments.exchange.layouts import loads_of, motor_columns, stated, without_sign
 from experiments.exchange.registers import angle_register
 from experiments.exchange.units import unit_in_name
@@ -47,20 +47,19 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
 
     With it a sentence for each command that nothing follows.
     """
-    angles, commands = measured_angles(imported), commands_of(imported)
+    angles, commands = measured_columns(imported, "q1", "q2"), commands_of(imported)
     counts = any(angle_register(imported, name) for name in angles)
-    torques = [name for name in fitting(imported, "tau", True) if not without_sign(imported, name)]
+    torques = [name for name in fitting(imported, "tau") if not without_sign(imported, name)]
     if not commands or not angles or (torques and not counts):
         return None, []
     imu = has(imported, "gyro", "accel")
     if len(angles) > MOST_LINKS and not imu:
         raise too_many(imported, angles)
-    pairs = pair_commands(angles, commands)
-    time = dict([(TIME, time_column(imported))]) if any(t.time_s is None for t in imported.tables) else {}
-    clock, reasons = {k: v[0] for k, v in time.items()}, {k: v[1] for k, v in time.items()}
+    pairs = of_joints(angles, commands)
+    clock, reasons = clock_of(imported)
     if imu or (len(angles) == 2 and len(pairs) == 1):
-        knee = max(pairs, key=lambda j: angles[j] == (fitting(imported, "q2", True) or angles)[0])
-        hips = [name for name in fitting(imported, "q1", True) if name != angles[knee]] or \
+        knee = max(pairs, key=lambda j: angles[j] == (fitting(imported, "q2") or angles)[0])
+        hips = [name for name in fitting(imported, "q1") if name != angles[knee]] or \
             [name for j, name in enumerate(angles) if j != knee][: 0 if imu else 1]
         order = {**({1: hips[0]} if hips else {}), 2: angles[knee]}
         joints = {2: pairs[knee]}
@@ -80,38 +79,38 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
 
 def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
     """`guess` with the commanded rates of its commands, where these are their derivatives, and with feedforwards."""
-    commands = {name: column for name, column in guess.columns.items() if name.endswith("_cmd_rad")}
-    named = [column.name for column in commands.values()]
-    columns, notes = dict(guess.columns), dict(guess.notes)
-    time = {TIME: columns[TIME]} if TIME in columns else {}
-    for k, rate in pair_commands(named, rates_of(imported)).items():
-        name, command = list(commands.items())[k]
-        unit = unit_in_name(rate, "gyro_radps") or (f"{command.unit}/s" if command.unit else "")
+    commands = [(name, column) for name, column in guess.columns.items() if name.endswith("_cmd_rad")]
+    named = [column.name for _, column in commands]
+    columns, notes = {}, {}
+    for k, rate in of_joints(named, rates_of(imported)).items():
+        name, command = commands[k]
+        unit = unit_in_name(rate, "gyro_radps") or (command.unit and f"{command.unit}/s")
         wanted, own = name.replace("q", "qd", 1).replace("rad", "radps"), Column(name=rate, unit=unit)
-        run = apply_map(imported, {**time, name: command, wanted: own})
+        run = apply_map(imported, only_time(guess.columns) | {name: command, wanted: own})
         sign = is_rate_of(run[wanted], run[name], run.rate_hz) if wanted in run and name in run else 0
         if sign:
             columns[wanted] = structs.replace(own, sign=1 if sign > 0 else -1)
             notes[wanted] = f"the derivative of {command.name!r}"
-    for k, torque in pair_commands(named, feedforwards_of(imported)).items():
-        name, command = list(commands.items())[k]
+    for k, torque in of_joints(named, feedforwards_of(imported)).items():
+        name, command = commands[k]
         wanted = name.replace("q", "tau", 1).replace("cmd_rad", "ff_nm")
         columns[wanted] = Column(name=torque, unit=unit_in_name(torque, wanted), sign=command.sign)
         notes[wanted] = "by its name, a feedforward"
-    if columns == guess.columns:
-        return guess
-    return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
+    return _with(guess, imported, columns, notes)
 
 
 def with_loads(guess: Guess, imported: ImportedFile) -> Guess:
     """`guess` with the loads of its joints in a unit that the file does not state."""
     angles = {name: column for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)}
     loads = loads_of(imported, angles)
-    if not loads:
-        return guess
-    columns = guess.columns | loads
-    notes = guess.notes | dict.fromkeys(loads, "by its name; its unit is not in the file")
-    return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
+    return _with(guess, imported, loads, dict.fromkeys(loads, "by its name; its unit is not in the file"))
+
+
+def _with(guess: Guess, imported: ImportedFile, more: Mapping[str, Column], notes: Mapping[str, str]) -> Guess:
+    """`guess` with more columns."""
+    columns = {**guess.columns, **more}
+    return replace(guess, columns=columns, notes={**guess.notes, **notes}, run=apply_map(imported, columns)
+                   ) if more else guess
 
 
 def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapping[int, str],
@@ -168,21 +167,18 @@ def _following_leg(imported: ImportedFile, clock: dict[str, Column], reasons: di
 
 def with_commands(guess: Guess, imported: ImportedFile) -> Guess:
     """`guess` with the commands of its angles, where these follow them."""
-    angles = {name: column for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)
-              and column.name in imported.names}
-    pairs = pair_commands([column.name for column in angles.values()], commands_of(imported))
-    columns, notes = dict(guess.columns), dict(guess.notes)
-    for k, command in pairs.items():
-        name, angle = list(angles.items())[k]
+    angles = [(name, column) for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)
+              and not column.minus]
+    columns, notes = {}, {}
+    for k, command in of_joints([column.name for _, column in angles], commands_of(imported)).items():
+        name, angle = angles[k]
         wanted = name.replace("_", "_cmd_", 1)
         column = structs.replace(stated(imported, command, name), sign=angle.sign)
-        if np.isfinite(imported.table_of(command).columns[command]).mean() < MOST_PRESENT:
+        if np.isfinite(imported.values(command)).mean() < MOST_PRESENT:
             continue
-        run = apply_map(imported, {**({TIME: columns[TIME]} if TIME in columns else {}), name: angle, wanted: column})
+        run = apply_map(imported, only_time(guess.columns) | {name: angle, wanted: column})
         one = read_command(run, (name, wanted), angle, column)
         if not not_following(one) and one.angle == angle:
             columns[wanted] = structs.replace(one.command, sign=angle.sign * one.command.sign)
             notes[wanted] = followed(one)
-    if columns == guess.columns:
-        return guess
-    return replace(guess, columns=columns, notes=notes, run=apply_map(imported, columns))
+    return _with(guess, imported, columns, notes)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import msgspec
 import numpy as np
+from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
-from estimator.signals import lowpass
 from experiments.exchange.guess_physics import (
     ANGLE_UNITS,
     CLEAR,
@@ -16,10 +15,11 @@ from experiments.exchange.guess_physics import (
     NOT_SURE,
     SMOOTHING_RADPS,
     Found,
-    band_hz,
-    filled,
+    Sign,
     inside,
     scale_warnings,
+    share_left,
+    smooth,
 )
 from experiments.exchange.units import factor
 
@@ -35,25 +35,22 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     `tau1_nm` in `columns` the joint swings freely: the other terms must explain the acceleration.
     """
     angle, torque = columns["q1_rad"], columns.get("tau1_nm")
-    cutoff = band_hz(raw.rate_hz)
-    use = inside(raw, list(columns.keys() & {"q1_rad", "tau1_nm"}))
+    use = inside(raw, list(columns))
     stated = factor(angle.unit, "q1_rad", angle.name)
-    rows: dict[str, FloatArray] = {}
-    pushes: dict[str, FloatArray] = {}
-    for unit, scale in ANGLE_UNITS.items():
-        z = joint_regressor(lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
-        if torque is not None:
-            rows[unit], pushes[unit] = z, lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
-        else:
-            rows[unit], pushes[unit] = z[:, 1:], z[:, 0]
-    left = {unit: left_of(z[use], pushes[unit][use]) for unit, z in rows.items()}
+    rows = joint_regressors(raw, {unit: scale / stated for unit, scale in ANGLE_UNITS.items()})
+    if torque is not None:
+        push = smooth(raw["tau1_nm"], raw.rate_hz)
+        read = {unit: (z, push) for unit, z in rows.items()}
+    else:
+        read = {unit: (z[:, 1:], z[:, 0]) for unit, z in rows.items()}
+    left = {unit: left_of(z[use], push[use]) for unit, (z, push) in read.items()}
     by_name = next((unit for unit, scale in ANGLE_UNITS.items() if np.isclose(scale, stated)), "")
-    best = min(left, key=lambda unit: left[unit])
+    best = min(left, key=left.__getitem__)
     clear = best == by_name or CLEAR * left[best] < left[by_name]
     unit = best if clear and left[best] <= EXPLAINS else by_name
-    rival = min((other for other in left if other != unit), key=lambda other: left[other])
+    rival = min((other for other in left if other != unit), key=left.__getitem__)
     sure = left[rival] >= CLEAR * left[unit]
-    z, push, shown = rows[unit], pushes[unit], unit or "rad"
+    (z, push), shown = read[unit], unit or "rad"
     what = "the acceleration" if torque is None else f"the torque {torque.name!r}"
     warnings, unexplained = [], []
     if left[unit] > EXPLAINS:
@@ -65,9 +62,9 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     if not angle.unit and not sure:
         warnings.append(f"the unit of {angle.name!r} does not show (rad or {rival or 'rad'}): {shown} is taken; set it "
                         "by hand if it is another")
-    found = {"q1_rad": msgspec.structs.replace(angle, unit=angle.unit if unit == by_name else unit)}
+    found = {"q1_rad": structs.replace(angle, unit=angle.unit if unit == by_name else unit)}
     notes = {}
-    works = 1
+    works: Sign = 1
     if torque is not None:
         works = 1 if _inertia(z[use], push[use]) > 0 else -1
         parts = zip(np.array_split(z[use], BLOCKS), np.array_split(push[use], BLOCKS))
@@ -75,7 +72,7 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
             unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of "
                                "the inertia; import a record with faster motion")
         warnings += scale_warnings("tau1_nm", torque)
-        found["tau1_nm"] = msgspec.structs.replace(torque, sign=1 if works > 0 else -1)
+        found["tau1_nm"] = structs.replace(torque, sign=works)
         notes["tau1_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
             f"with sign {works:+d} the inertia is positive")
     prefix = "" if angle.unit or sure else NOT_SURE
@@ -87,11 +84,15 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
                  left=left[unit])
 
 
-def joint_regressor(q: FloatArray, rate_hz: float) -> FloatArray:
-    """(n, 5) of inertia, viscous and Coulomb friction, and gravity along two axes; `q` (n,) [rad]."""
-    rate = np.gradient(q, 1.0 / rate_hz)
-    return np.stack([np.gradient(rate, 1.0 / rate_hz), rate, np.tanh(rate / SMOOTHING_RADPS), np.sin(q), np.cos(q)],
-                    axis=-1)
+def joint_regressors(raw: Dataset, scales: Mapping[str, float]) -> dict[str, FloatArray]:
+    """Unit -> (n, 5) of inertia, viscous and Coulomb friction, and gravity along two axes; q1_rad times its scale."""
+    rows, step = {}, 1.0 / raw.rate_hz
+    for unit, scale in scales.items():
+        q = smooth(scale * raw["q1_rad"], raw.rate_hz)
+        rate = np.gradient(q, step)
+        rows[unit] = np.stack([np.gradient(rate, step), rate, np.tanh(rate / SMOOTHING_RADPS), np.sin(q), np.cos(q)],
+                              axis=-1)
+    return rows
 
 
 def solve(z: FloatArray, tau: FloatArray) -> FloatArray:
@@ -105,4 +106,4 @@ def _inertia(z: FloatArray, tau: FloatArray) -> float:
 
 def left_of(z: FloatArray, tau: FloatArray) -> float:
     """The share of the torque that least squares leaves."""
-    return float(np.sqrt(np.sum((z @ solve(z, tau) - tau) ** 2) / max(float(np.sum(tau**2)), 1e-30)))
+    return share_left(tau, z @ solve(z, tau))

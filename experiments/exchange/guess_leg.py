@@ -11,7 +11,7 @@ from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_names import MOST_RIVALS, WORDS, fitting, lacking, triad
 from experiments.exchange.guess_physics import Pose, find_imu
 from experiments.exchange.guess_result import Guess
-from experiments.exchange.guess_rivals import Rivals, best_knee
+from experiments.exchange.guess_rivals import best_knee
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import unit_in_name
 
@@ -20,20 +20,20 @@ def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[st
                gravity_mps2: float) -> Guess:
     """The guess for a leg by its knee's torque; without one by the error of the command that the knee follows."""
     triads = {kind: triad(imported, kind) for kind in ("gyro", "accel")}
-    axes = [Column(name=name) for name in (*triads["gyro"], *triads["accel"])]
     follows = "tau2_nm" not in columns
     torques = [] if follows else [Column(name=name, unit=unit_in_name(name, "tau2_nm")) for name in
-                                  fitting(imported, "tau", True) if name != columns["tau2_nm"].name][:MOST_RIVALS]
-    plain = [*axes, *rivals, *(Column(name=column.name) for column in torques)]
-    spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate(plain)}
-    raw = apply_map(imported, {**columns, **{spare[column.name]: column for column in plain}})
+                                  fitting(imported, "tau") if name != columns["tau2_nm"].name][:MOST_RIVALS]
+    plain = [*(Column(name=name) for names in triads.values() for name in names), *rivals,
+             *(Column(name=column.name) for column in torques)]
+    spare = {f"q{k}_rad": column for k, column in enumerate(plain, 3)}
+    raw = apply_map(imported, columns | spare)
+    read = {column.name: raw[name] for name, column in spare.items()}
     warnings, unexplained = [], []
     pose: Pose | None = None
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
-    read = {column.name: raw[spare[column.name]] for column in axes}
     if triads["gyro"] and len(triads["accel"]) >= 2:
-        imu = find_imu(raw.rate_hz, {n: read[n] for n in triads["gyro"]}, {n: read[n] for n in triads["accel"]},
-                       gravity_mps2)
+        gyro, accel = ({name: read[name] for name in names} for names in triads.values())
+        imu = find_imu(raw.rate_hz, gyro, accel, gravity_mps2)
         columns |= imu.columns
         notes |= imu.notes
         warnings += imu.warnings
@@ -45,7 +45,9 @@ def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[st
                        {kind: WORDS[kind] for kind in ("gyro", "accel")} | {"q1": WORDS["q1_rad"]})
     if follows:
         raw = replace(raw, columns={**raw.columns, "tau2_nm": raw["q2_cmd_rad"] - raw["q2_rad"]})
-    knee, why = best_knee(raw, columns, Rivals(rivals, torques, spare), pose, gravity_mps2)
+    others = {name: [(column, read[column.name]) for column in some]
+              for name, some in (("q2_rad", rivals), ("tau2_nm", torques))}
+    knee, why = best_knee(raw, columns, others, pose, gravity_mps2)
     notes |= why
     columns |= knee.columns
     notes |= {name: "\n".join(filter(None, (notes.get(name, ""), text))) for name, text in knee.notes.items()}

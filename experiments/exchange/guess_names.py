@@ -47,25 +47,31 @@ UNNAMED = re.compile(r"column \d+")
 TIME_REMEDIES = {"digits only": "export the times with more digits, or leave the column out and give --rate HZ",
                  "stands still": "export times of a finer resolution, or give --rate HZ for rows at one rate"}
 """What a column of times lacks -> the remedy."""
-AXIS = re.compile(r"[^a-zA-Z0-9]?([xyz])(?:[\s\[(_].*)?$", re.IGNORECASE)
+AXIS = r"[^a-z0-9]?([xyz])(?:[\s\[(_].*)?$"
 MOST_RIVALS = 4
 """Columns that are tried in addition to the most likely one."""
 
 
+def says(name: str, pattern: str) -> bool:
+    """Whether a part of a column's name has this pattern, in small letters or capitals."""
+    return bool(re.search(pattern, name, re.IGNORECASE))
+
+
 def kind_of(name: str) -> str:
     """Kind of signal in `PATTERNS` by a column's name; empty for none."""
-    if re.search(f"{WRENCH}|{SETTING}|{LOAD}", name, re.IGNORECASE):
+    if says(name, f"{WRENCH}|{SETTING}|{LOAD}"):
         return ""
-    return next((kind for kind, pattern in PATTERNS.items() if re.search(pattern, name, re.IGNORECASE)), "")
+    return next((kind for kind, pattern in PATTERNS.items() if says(name, pattern)), "")
 
 
 def lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> InputError:
     """The error for a file without `what`; `words`: kind of signal -> how such columns are called.
 
     A column that is called so and cannot be used is named with the reason."""
-    useless = [f"{name!r} {why}" for name, why in imported.left_out.items() if kind_of(name) in words]
+    useless = [f"{name!r} {why}" for name, why in imported.left_out.items()
+               if kind_of(name) in words or not imported.names]
     for name in imported.names:
-        values = imported.table_of(name).columns[name]
+        values = imported.values(name)
         if kind_of(name) in words and not changes(values):
             useless.append(f"{name!r} {_unchanging(values)}")
     if useless:
@@ -104,27 +110,25 @@ def has(imported: ImportedFile, *kinds: str) -> bool:
     return any(kind_of(name) in kinds for name in [*imported.names, *imported.left_out])
 
 
-def fitting(imported: ImportedFile, kind: str, measured: bool) -> list[str]:
+def fitting(imported: ImportedFile, kind: str, measured: bool = True) -> list[str]:
     """The columns that may be of this kind by their names, the most likely first."""
-    ranked: list[tuple[bool, bool, int, str]] = []
-    for name in imported.names:
-        commanded = bool(re.search(NOT_MEASURED, name, re.IGNORECASE))
-        if kind_of(name) != kind or commanded == measured or re.match(TIME_NAMES, name, re.IGNORECASE):
-            continue
-        if kind in ("q1", "q2") and re.search(NOT_AN_ANGLE, name, re.IGNORECASE):
-            continue
-        if changes(imported.table_of(name).columns[name]):
-            knee = bool(re.search("knee|knie|2", name, re.IGNORECASE))
-            current = bool(re.search("current|strom|iq", name, re.IGNORECASE))
-            ranked.append((knee, not current, -len(ranked), name))
-    return [name for *_, name in sorted(ranked, reverse=True)]
+    found = [name for name in imported.names if kind_of(name) == kind and says(name, NOT_MEASURED) != measured
+             and not says(name, TIME_NAMES) and not (kind in ("q1", "q2") and says(name, NOT_AN_ANGLE))
+             and changes(imported.values(name))]
+    return sorted(found, key=lambda name: (not says(name, "knee|knie|2"), says(name, "current|strom|iq")))
+
+
+def measured_columns(imported: ImportedFile, *kinds: str) -> list[str]:
+    """Columns that are measured signals of one of these kinds by their names, in the file's order."""
+    found = {name for kind in kinds for name in fitting(imported, kind)}
+    return [name for name in imported.names if name in found]
 
 
 def triad(imported: ImportedFile, kind: str) -> list[str]:
     """Columns of a sensor with up to three axes."""
     names = [name for name in imported.names if kind_of(name) == kind and "bias" not in name.lower()
-             and usable(imported.table_of(name).columns[name]).sum() > 2]
-    axes = [name for name in names if AXIS.search(name)]
+             and usable(imported.values(name)).sum() > 2]
+    axes = [name for name in names if says(name, AXIS)]
     return (axes or names)[:3]
 
 
@@ -132,7 +136,7 @@ def time_column(imported: ImportedFile) -> tuple[Column, str]:
     """The column that increases and is called so; its unit by its name, else by the step."""
     useless = [f"{name!r} {why}" for name, why in imported.left_out.items() if _called_time(name)]
     for name in sorted(imported.names, key=lambda n: not _called_time(n)):
-        values = imported.table_of(name).columns[name]
+        values = imported.values(name)
         known = np.flatnonzero(np.isfinite(values))
         wraps = unwrapped_counter(values[known], factor(unit_in_name(name, TIME), TIME, name))
         steps = np.diff(values[known] if wraps is None else wraps.time)
@@ -155,8 +159,16 @@ def time_column(imported: ImportedFile) -> tuple[Column, str]:
     raise lacking(imported, "a time", {TIME: WORDS[TIME]})
 
 
+def clock_of(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str]]:
+    """The time's column and the reason for it, by its name in a run; both empty where all tables have their times."""
+    if all(table.time_s is not None for table in imported.tables):
+        return {}, {}
+    column, why = time_column(imported)
+    return {TIME: column}, {TIME: why}
+
+
 def _called_time(name: str) -> bool:
-    return bool(re.match(TIME_NAMES, BRACKETED.sub("", name).strip(), re.IGNORECASE))
+    return says(BRACKETED.sub("", name).strip(), TIME_NAMES)
 
 
 def _not_a_clock(values: FloatArray) -> str:

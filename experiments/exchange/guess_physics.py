@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from itertools import product
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-import msgspec
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from daq import Column, Dataset, FloatArray
 from estimator.model import leg2
 from estimator.signals import lowpass
+from experiments.exchange.guess_names import says
 from experiments.exchange.units import DEGREE, TURN, factor, unit_in_name
 
 SLOW_HZ = 0.3
@@ -24,6 +25,8 @@ SMOOTHING_RADPS = 0.05
 ANGLE_UNITS = {"": 1.0, "deg": DEGREE, "turn": TURN, "mrad": 1e-3}
 RATE_UNITS = {"": 1.0, "deg/s": DEGREE, "turn/s": TURN, "rpm": TURN / 60.0, "mdps": 1e-3 * DEGREE}
 ACCEL_UNITS = {"": 1.0, "g": 9.80665, "mg": 9.80665e-3}
+Sign = Literal[1, -1]
+SIGNS: tuple[Sign, ...] = (1, -1)
 CLEAR = 1.5
 """A guess whose runner-up leaves less than so many times its residual is called unsure."""
 NOT_SURE = "NOT SURE: "
@@ -60,13 +63,18 @@ class Found(NamedTuple):
     """The share of the torque that the knee's best unit and sign leaves."""
 
 
-class _Reading(NamedTuple):
-    """A signal read in one unit and sign, and what that leaves."""
+class _Turning(NamedTuple):
+    """The gyro read in one unit and sign against one axis of the accelerometer, and what that leaves."""
 
     left: float
     unit: str
-    sign: int
+    sign: Sign
+    side: str
+    """The axis across the link."""
+    read: FloatArray
     made: FloatArray
+    lever: float
+    pose: Pose
 
 
 def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str, FloatArray], gravity: float) -> Found:
@@ -86,32 +94,30 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
         warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     a_y = out_sign * ACCEL_UNITS[accel_unit] * accel[along]
-    best: list[tuple[_Reading, str, FloatArray, Pose, float]] = []
-    for side, (unit, scale), sign in product([name for name in accel if name != along], RATE_UNITS.items(), (1, -1)):
+    best: list[_Turning] = []
+    for side, (unit, scale), sign in product([name for name in accel if name != along], RATE_UNITS.items(), SIGNS):
         a_x = ACCEL_UNITS[accel_unit] * accel[side]
         made, lever, pose = _tangential(a_x, a_y, sign * scale * gyro[turning], rate_hz, gravity)
         read = _band(a_x, rate_hz)
-        share = float(np.sqrt(np.mean((read - made) ** 2) / max(float(np.mean(read**2)), 1e-30)))
         # the axis across the plane of motion is explained by nothing, and by nothing well: only a live axis counts
         live = float(np.std(accel[side])) / max(float(np.std(np.stack(list(accel.values())), axis=1).max()), 1e-30)
-        best.append((_Reading(share / max(live, 1e-6), unit, sign, made), side, read, pose, lever))
-    best.sort(key=lambda row: row[0].left)
-    (first, side, read, pose, lever), (second, *_) = best[0], best[1]
-    unit, sign, said = first.unit or "rad/s", first.sign, unit_in_name(turning, "gyro_radps")
-    fits = f"in {unit}, sign {sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
+        best.append(_Turning(share_left(read, made) / max(live, 1e-6), unit, sign, side, read, made, lever, pose))
+    first, second = sorted(best, key=lambda one: one.left)[:2]
+    unit, said = first.unit or "rad/s", unit_in_name(turning, "gyro_radps")
+    fits = f"in {unit}, sign {first.sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
     known, unsure = first.left <= EXPLAINS and heavy, second.left < CLEAR * first.left
     if first.left > EXPLAINS:
         unexplained.append(f"no unit and sign of {turning!r} explains the accelerometer (the best leaves "
-                           f"{100 * first.left:.0f} % of {side!r}): another axis or sensor, an IMU that is turned "
-                           "against the link, or a time in another unit")
+                           f"{100 * first.left:.0f} % of {first.side!r}): another axis or sensor, an IMU that is "
+                           "turned against the link, or a time in another unit")
     elif unsure:
-        warnings.append(f"the gyro's unit and sign are a close call: {unit}, sign {sign:+d}, leaves "
+        warnings.append(f"the gyro's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
                         f"{100 * first.left:.0f} % of accel_x, {second.unit or 'rad/s'}, sign {second.sign:+d}, "
                         f"{100 * second.left:.0f} %")
     if known and said and not _same(said, first.unit, "gyro_radps"):
         warnings.append(f"the name of {turning!r} says {said}, but {fits}: {unit} is taken")
-    columns = {"gyro_radps": Column(name=turning, unit=first.unit, sign=1 if sign > 0 else -1),
-               "accel_x_mps2": Column(name=side, unit=accel_unit),
+    columns = {"gyro_radps": Column(name=turning, unit=first.unit, sign=first.sign),
+               "accel_x_mps2": Column(name=first.side, unit=accel_unit),
                "accel_y_mps2": Column(name=along, unit=accel_unit, sign=1 if out_sign > 0 else -1)}
     notes = {"gyro_radps": "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer",
              "accel_x_mps2": "NOT KNOWN: it does not fit the gyro",
@@ -121,8 +127,14 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     if known:
         notes["gyro_radps"] = (f"{NOT_SURE if unsure else ''}the axis that turns most; {fits} (next best: "
                                f"{100 * second.left:.0f} %)")
-        notes["accel_x_mps2"] = (f"across the link, in the plane of motion; the IMU's lever arm would be {lever:.3f} m")
-    return Found(columns, notes, warnings, unexplained, (read, first.made), pose)
+        notes["accel_x_mps2"] = ("across the link, in the plane of motion; the IMU's lever arm would be "
+                                 f"{first.lever:.3f} m")
+    return Found(columns, notes, warnings, unexplained, (first.read, first.made), first.pose)
+
+
+def share_left(wanted: FloatArray, made: FloatArray) -> float:
+    """Share of `wanted` that `made` leaves, by their rms."""
+    return float(np.sqrt(np.sum((made - wanted) ** 2) / max(float(np.sum(wanted**2)), 1e-30)))
 
 
 def _same(one: str, other: str, column: str) -> bool:
@@ -144,9 +156,9 @@ def scale_warnings(name: str, torque: Column) -> list[str]:
             + ("" if torque.unit else " if it is not in N m at the joint")]
 
 
-def band_hz(rate_hz: float) -> float:
-    """Cutoff [Hz] below which a record's motion counts."""
-    return min(FAST_HZ, 0.2 * rate_hz)
+def smooth(x: FloatArray, rate_hz: float) -> FloatArray:
+    """(n, ...) without gaps and without what is faster than a record's motion."""
+    return lowpass(filled(x), min(FAST_HZ, 0.2 * rate_hz), rate_hz)
 
 
 def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
@@ -159,7 +171,7 @@ def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
 
 def _band(x: FloatArray, rate_hz: float) -> FloatArray:
     """(n,) without what drifts and what only rings."""
-    return lowpass(x, band_hz(rate_hz), rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
+    return smooth(x, rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
 
 
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float
@@ -179,8 +191,8 @@ class _Knee(NamedTuple):
     left: float
     unit: str
     hip_unit: str
-    sign: int
-    works: int
+    sign: Sign
+    works: Sign
     made: FloatArray
 
 
@@ -217,18 +229,17 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         warnings.append(f"the knee's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
                         f"{100 * first.left:.0f} % of {short}, {second.unit or 'rad'}, sign {second.sign:+d}, "
                         f"{100 * second.left:.0f} %; look at the plot")
-    out = {"q2_rad": msgspec.structs.replace(knee, unit=first.unit, sign=1 if first.sign > 0 else -1)}
-    for name in ("tau2_nm", "tau2_cmd_nm"):
-        if name in columns:
-            out[name] = msgspec.structs.replace(columns[name], sign=1 if first.works > 0 else -1)
+    out = {"q2_rad": structs.replace(knee, unit=first.unit, sign=first.sign)}
+    out |= {name: structs.replace(columns[name], sign=first.works) for name in ("tau2_nm", "tau2_cmd_nm")
+            if name in columns}
     if torque is None:
         command = columns["q2_cmd_rad"]
-        out["q2_cmd_rad"] = msgspec.structs.replace(
+        out["q2_cmd_rad"] = structs.replace(
             command, unit=command.unit or first.unit, sign=command.sign if first.sign > 0 else -command.sign)
         warnings += unexplained  # a loop's delay or integral is in the error, too
         unexplained, known = [], True
     if pose is None and "q1_rad" in columns:
-        out["q1_rad"] = msgspec.structs.replace(columns["q1_rad"], unit=first.hip_unit)
+        out["q1_rad"] = structs.replace(columns["q1_rad"], unit=first.hip_unit)
     notes = {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
@@ -240,9 +251,9 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         del notes["tau2_nm"]
     else:
         warnings += scale_warnings("tau2_nm", torque)
-    if not knee.unit and re.search("motor", knee.name, re.IGNORECASE):
+    if not knee.unit and says(knee.name, "motor"):
         warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
-    read = first.works * lowpass(push, band_hz(raw.rate_hz), raw.rate_hz)
+    read = first.works * smooth(push, raw.rate_hz)
     return Found(out, notes, warnings, unexplained, (read, first.works * first.made), left=first.left)
 
 
@@ -251,8 +262,8 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
     """What every unit and sign leaves, the least first. A pivot's encoder without a unit of its own has the knee's."""
     knee, hip = columns["q2_rad"], columns.get("q1_rad", Column(name=""))
     angles = _in_units(knee, raw["q2_rad"])
-    if pose is not None or "q1_rad" not in columns:
-        poses = {hip.unit: pose} if pose is not None else {}
+    if pose is not None:
+        poses = {hip.unit: pose}
     else:
         hips = _in_units(hip, raw["q1_rad"])
         poses = {unit: Pose(q1, np.gradient(q1, 1.0 / raw.rate_hz)) for unit, q1 in hips.items()
@@ -261,11 +272,11 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
     follows = "tau2_nm" not in columns
     counts = ~_near_gaps(raw.gap(measured if pose is None else measured[-2:]), raw.rate_hz)
     out = []
-    for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), (1, -1)):
+    for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), SIGNS):
         if pose is None and not (hip.unit or knee.unit) and unit != hip_unit:
             continue
         left, beta, made = _equation(link, sign * angle, push, counts, raw.rate_hz, gravity)
-        works = 1 if beta[0] > 0 else -1
+        works: Sign = 1 if beta[0] > 0 else -1
         against = follows and works != sign  # a drive pushes the angle towards its command
         out.append(_Knee(max(left, 1.0) if against else left, unit, hip_unit, sign, works, made))
     return sorted(out, key=lambda one: one.left)
@@ -281,8 +292,7 @@ def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
 def _near_gaps(gap: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
     """(n,) True in and next to gaps that are too long to interpolate linearly."""
     def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
-        reach = round(seconds * rate_hz)
-        return np.convolve(where, np.ones(2 * reach + 1))[reach:reach + where.size] > 0.5
+        return binary_dilation(where, np.ones(2 * round(seconds * rate_hz) + 1, bool))
 
     inner = ~reached(~gap, 0.5 * BRIDGED_S)
     return reached(inner, 0.5 * BRIDGED_S + RING_S)
@@ -297,17 +307,16 @@ def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.
     A beta without positive inertias is no leg's: its residual counts as the whole torque.
     """
     mechanism = leg2(gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
-    cutoff = band_hz(rate_hz)
-    q = lowpass(np.stack([hip.q1, q2], axis=-1), cutoff, rate_hz)
-    rate = lowpass(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), cutoff, rate_hz)
+    q = smooth(np.stack([hip.q1, q2], axis=-1), rate_hz)
+    rate = smooth(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), rate_hz)
     z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
     use = counts.copy()
     if len(q) > 6 * rate_hz:
         use[:int(rate_hz)] = use[-int(rate_hz):] = False
-    tau = lowpass(torque, cutoff, rate_hz)
+    tau = smooth(torque, rate_hz)
     rows = np.concatenate([z[use, 0], z[use, 1]])
     wanted = np.concatenate([np.zeros(int(use.sum())), tau[use]])
     beta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    left = float(np.sqrt(np.sum((rows @ beta - wanted) ** 2) / max(float(np.sum(wanted**2)), 1e-30)))
+    left = share_left(wanted, rows @ beta)
     sane = beta[0] * beta[1] > 0 and beta[2] ** 2 < beta[0] * beta[1]
-    return left if sane else max(left, 1.0), beta, np.asarray(z[:, 1] @ beta)
+    return left if sane else max(left, 1.0), beta, z[:, 1] @ beta

@@ -16,11 +16,9 @@ import numpy as np
 from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
-from estimator.signals import lowpass
-from experiments.exchange.guess_chain import driven_joints
-from experiments.exchange.guess_joint import joint_regressor, left_of, solve
-from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of
-from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, NOT_SURE, Found, band_hz, filled, inside
+from experiments.exchange.guess_joint import joint_regressors, left_of, solve
+from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of, says
+from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, NOT_SURE, Found, filled, inside, smooth
 from experiments.exchange.imported import ImportedFile
 
 A_COMMAND = r"goal|target|cmd|command|set_?point|desired|(?<![a-z])action|joint_trajectory"
@@ -52,22 +50,10 @@ class Command(NamedTuple):
 
 def commands_of(imported: ImportedFile) -> list[str]:
     """Columns that are commanded angles by their names, in the file's order."""
-    found = []
-    for name in imported.names:
-        plain = re.sub(r"set_?point", "", name, flags=re.IGNORECASE)
-        if not re.search(NOT_MEASURED, name, re.IGNORECASE) or re.match(TIME_NAMES, name, re.IGNORECASE) \
-                or re.search(NOT_AN_ANGLE, plain, re.IGNORECASE):
-            continue
-        kind = kind_of(name)
-        if (kind in ("q1", "q2") or (not kind and re.search(A_COMMAND, name, re.IGNORECASE))) \
-                and changes(imported.table_of(name).columns[name]):
-            found.append(name)
-    return found
-
-
-def pair_commands(angles: Sequence[str], commands: Sequence[str]) -> dict[int, str]:
-    """Joint from 0 -> the command of its angle, by the words and numbers that their names share."""
-    return {joint: command for command, joint in driven_joints(angles, commands).items()}
+    return [name for name in imported.names if says(name, NOT_MEASURED) and not says(name, TIME_NAMES)
+            and not says(re.sub(r"set_?point", "", name, flags=re.IGNORECASE), NOT_AN_ANGLE)
+            and (kind_of(name) in ("q1", "q2") or (not kind_of(name) and says(name, A_COMMAND)))
+            and changes(imported.values(name))]
 
 
 def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: Column) -> Command:
@@ -87,18 +73,14 @@ def read_command(run: Dataset, names: tuple[str, str], angle: Column, command: C
 
 def _in_units(angle: Column, command: Column, slope: float) -> tuple[Column, Column]:
     """Both with the units by which the angle moves as far as its command, where names state one or none of them."""
-    if bool(angle.unit) != bool(command.unit):
-        known = angle.unit or command.unit
-        ratio = slope if angle.unit else 1.0 / slope
-        other = _unit_near(ratio) or known
-        return structs.replace(angle, unit=angle.unit or other), structs.replace(command, unit=command.unit or other)
-    if angle.unit or 1.0 / ALIKE < slope < ALIKE:
-        return angle, command
-    if _unit_near(slope):  # an angle in rad
-        return structs.replace(angle, unit="rad"), structs.replace(command, unit=_unit_near(slope))
-    if _unit_near(1.0 / slope):
-        return structs.replace(angle, unit=_unit_near(1.0 / slope)), structs.replace(command, unit="rad")
-    return angle, command
+    one, other, near, inverse = angle.unit, command.unit, _unit_near(slope), _unit_near(1.0 / slope)
+    if one and not other:
+        other = near or one
+    elif other and not one:
+        one = inverse or other
+    elif not one and not 1.0 / ALIKE < slope < ALIKE:
+        one, other = ("rad", near) if near else (inverse, "rad" if inverse else "")
+    return structs.replace(angle, unit=one), structs.replace(command, unit=other)
 
 
 def _unit_near(factor_rad: float) -> str:
@@ -133,14 +115,11 @@ def find_servo_joint(raw: Dataset, one: Command) -> Found:
 
     `raw` has q1_rad and q1_cmd_rad in one unit, with the command's sign.
     """
-    columns = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
-    cutoff, use = band_hz(raw.rate_hz), inside(raw, list(columns))
-    error = lowpass(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), cutoff, raw.rate_hz)
-    units = {"": 1.0} if one.angle.unit else ANGLE_UNITS
-    rows = {unit: joint_regressor(lowpass(scale * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
-            for unit, scale in units.items()}
+    use = inside(raw, ["q1_rad", "q1_cmd_rad"])
+    error = smooth(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), raw.rate_hz)
+    rows = joint_regressors(raw, {"": 1.0} if one.angle.unit else ANGLE_UNITS)
     left = {unit: left_of(z[use], error[use]) for unit, z in rows.items()}
-    best = min(left, key=lambda one: left[one])
+    best = min(left, key=left.__getitem__)
     unit = best if left[best] <= EXPLAINS and CLEAR * left[best] < left[""] else ""
     if not one.angle.unit and not unit and np.ptp(raw["q1_rad"][use]) > TURNS:
         unit = "deg"
@@ -176,22 +155,20 @@ def servo_hint(joints: Sequence[int]) -> str:
 
 def rates_of(imported: ImportedFile) -> list[str]:
     """Columns that are commanded rates by their names, in the file's order."""
-    return [name for name in imported.names if re.search(NOT_MEASURED, name, re.IGNORECASE)
-            and re.search(A_RATE, name, re.IGNORECASE) and kind_of(name) != "tau"
-            and changes(imported.table_of(name).columns[name])]
+    return [name for name in imported.names if says(name, NOT_MEASURED)
+            and says(name, A_RATE) and kind_of(name) != "tau"
+            and changes(imported.values(name))]
 
 
 def feedforwards_of(imported: ImportedFile) -> list[str]:
     """Columns that are feedforward torques by their names, in the file's order."""
-    return [name for name in imported.names if re.search(A_FEEDFORWARD, name, re.IGNORECASE)
-            and not re.search(A_RATE, name, re.IGNORECASE) and changes(imported.table_of(name).columns[name])]
+    return [name for name in imported.names if says(name, A_FEEDFORWARD)
+            and not says(name, A_RATE) and changes(imported.values(name))]
 
 
 def is_rate_of(rate: FloatArray, command: FloatArray, rate_hz: float) -> int:
     """1 or -1 where `rate` (n,) [rad/s] is the derivative of `command` (n,) [rad] or its negative, else 0."""
-    made = np.gradient(filled(command), 1.0 / rate_hz)
-    cutoff = band_hz(rate_hz)
-    slow, wanted = lowpass(filled(rate), cutoff, rate_hz), lowpass(made, cutoff, rate_hz)
+    slow, wanted = (smooth(x, rate_hz) for x in (rate, np.gradient(filled(command), 1.0 / rate_hz)))
     size = float(slow.std()) / max(float(wanted.std()), 1e-30)
     alike = _correlation(slow, wanted)
     return int(np.sign(alike)) if abs(alike) > SURE_RATE and 1.0 / ALIKE < size < ALIKE else 0

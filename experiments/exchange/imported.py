@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
 from daq import FloatArray, InputError
 
 
@@ -54,25 +52,22 @@ class ImportedFile:
         for table in self.tables:
             if column in table.columns:
                 return table
-        if column in self.left_out:
-            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "correct that cell, or empty it")
+        known = next((name for name in (column, column.partition("{")[0]) if name in self.left_out), None)
+        if known is not None:
+            what, save, how = self.left_out[known].partition(": save ")
+            raise InputError(self.name, f"column {known!r} {what}",
+                             f"save {how}" if save else "correct that cell, or empty it")
         close = difflib.get_close_matches(column, self.names, 1, 0.6)
         some = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
         raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close
                          else f"it has {some}" if some else "it holds no column of numbers")
+
+    def values(self, column: str) -> FloatArray:
+        """(n,) numbers of `column`. Raises `InputError` as `table_of` does."""
+        return self.table_of(column).columns[column]
 
 
 def by_length(columns: Mapping[str, FloatArray]) -> tuple[Table, ...]:
     """Columns (n,) grouped into tables, the longest first."""
     lengths = sorted({values.size for values in columns.values()}, reverse=True)
     return tuple(Table({name: values for name, values in columns.items() if values.size == n}) for n in lengths)
-
-
-def as_floats(values: object) -> FloatArray | None:
-    """(n,) floats of what a file holds, times as seconds; None where it is no column of numbers."""
-    array = np.asarray(values)
-    if array.ndim != 1 or array.size < 2:
-        return None
-    if array.dtype.kind == "M":
-        return np.asarray((array - array[0]).astype("timedelta64[ns]").astype(np.float64) * 1e-9)
-    return array.astype(np.float64) if array.dtype.kind in "fiub" else None

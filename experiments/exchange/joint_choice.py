@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq import InputError
-from experiments.exchange.expression import ANY
-from experiments.exchange.guess_chain import driven_joints
-from experiments.exchange.guess_names import fitting, kind_of
-from experiments.exchange.guess_servo import commands_of, pair_commands
+from experiments.exchange.column_map import ANY
+from experiments.exchange.guess_chain import of_joints
+from experiments.exchange.guess_names import kind_of, measured_columns, says
+from experiments.exchange.guess_servo import commands_of
 from experiments.exchange.imported import ImportedFile
 
 CELL = re.compile(r"\{\d+\}$")
@@ -28,33 +28,22 @@ def first_run(imported: ImportedFile) -> tuple[ImportedFile, str]:
     return replace(imported, tables=(table._replace(columns=own),)), ANY
 
 
-def measured_angles(imported: ImportedFile) -> list[str]:
-    """Columns that are measured angles by their names, in the file's order."""
-    return sorted([*fitting(imported, "q1", True), *fitting(imported, "q2", True)], key=imported.names.index)
-
-
 def chosen_joints(imported: ImportedFile, joints: Sequence[str]) -> ImportedFile:
     """`imported` with the angles, commands and torques of `joints` alone, in their order.
 
     A joint is named by its angle's column, by words of that name which no other angle has, or by its number in the
     file from 1. Raises `InputError`.
     """
-    angles, commands = measured_angles(imported), commands_of(imported)
-    torques = sorted(fitting(imported, "tau", True), key=imported.names.index)
+    angles, commands = measured_columns(imported, "q1", "q2"), commands_of(imported)
     theirs: dict[str, list[str]] = {angle: [angle] for angle in angles}
-    for joint, command in pair_commands(angles, commands).items():
-        theirs[angles[joint]].append(command)
-    for torque, joint in driven_joints(angles, torques).items():
-        theirs[angles[joint]].append(torque)
+    for others in (commands, measured_columns(imported, "tau")):
+        for joint, name in of_joints(angles, others).items():
+            theirs[angles[joint]].append(name)
     kept = [name for joint in joints for name in theirs[_angle_of(imported, joint, angles)]]
     given_up = {name for name in imported.names if name in (*angles, *commands) or kind_of(name) == "tau"} - set(kept)
-    tables = []
-    for table in imported.tables:
-        rest = {name: values for name, values in table.columns.items() if name not in given_up and name not in kept}
-        own = {name: table.columns[name] for name in kept if name in table.columns}
-        if own or rest:
-            tables.append(table._replace(columns=own | rest))
-    return replace(imported, tables=tuple(tables))
+    tables = [table._replace(columns={name: table.columns[name] for name in [*kept, *table.columns]
+                                      if name in table.columns and name not in given_up}) for table in imported.tables]
+    return replace(imported, tables=tuple(table for table in tables if table.columns))
 
 
 def _angle_of(imported: ImportedFile, joint: str, angles: Sequence[str]) -> str:
@@ -62,8 +51,7 @@ def _angle_of(imported: ImportedFile, joint: str, angles: Sequence[str]) -> str:
         return joint
     if joint.isdecimal() and 1 <= int(joint) <= len(angles):
         return angles[int(joint) - 1]
-    found = [angle for angle in angles if re.search(rf"(?<![a-z0-9]){re.escape(joint)}(?![a-z0-9])", angle,
-                                                    re.IGNORECASE)]
+    found = [angle for angle in angles if says(angle, rf"(?<![a-z0-9]){re.escape(joint)}(?![a-z0-9])")]
     if len(found) == 1:
         return found[0]
     named = ", ".join(map(repr, angles[:MOST_NAMED])) or "none"

@@ -22,11 +22,14 @@ import numpy as np
 
 from daq import Column, InputError, read_bytes
 from daq.runs import ENABLED, LOAD_COLUMN
+from experiments.exchange.guess_names import says
 from experiments.exchange.imported import ImportedFile, Table
-from experiments.exchange.registers import PWM_FULL, angle_register, maker, motor_registers
+from experiments.exchange.registers import PWM_FULL, angle_register, known, maker, motor_registers
 from experiments.exchange.units import unit_in_name
 
 STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
+ROBOT = "lerobot.robot"
+"""Fact of a LeRobot file: the robot's type, empty where no file states it."""
 LOADS = {"observation.effort": "observation.load_effort", "observation.current": "observation.load_current"}
 """Feature of a data set without a unit -> its columns' name here, which no guess takes for a torque"""
 BAM_ANGLE, BAM_GOAL, BAM_ON = "entries.position", "entries.goal_position", "entries.torque_enable"
@@ -46,8 +49,12 @@ BAM_DUTY = {"xl330": 4096 / (2 * np.pi) / (256 * PWM_FULL), "mx106": 0.158, "mx6
 def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
     """A LeRobot file with the names of its joints, each episode a run of its own with its times; others as they are.
 
-    Raises `InputError` for an info.json that is there and cannot be read.
+    A recording of BAM has no command where its motor is off. Raises `InputError` for an info.json that cannot be read.
     """
+    if BAM_GOAL in imported.names:
+        return replace(imported, tables=tuple(table if not {BAM_GOAL, BAM_ON} <= table.columns.keys() else Table({
+            **table.columns, BAM_GOAL: np.where(table.columns[BAM_ON] > 0.0, table.columns[BAM_GOAL], np.nan)})
+            for table in imported.tables))
     if not any(name.startswith(f"{STATE}[") for name in imported.names) or "timestamp" not in imported.names:
         return imported
     names, robot = _robot_of(path)
@@ -65,14 +72,13 @@ def with_layout(imported: ImportedFile, path: Path) -> ImportedFile:
         rows, cell = episodes == number, f"{{{k}}}" if numbers.size > 1 else ""
         tables.append(Table({f"{new}{cell}": table.columns[old][rows] for old, new in called.items()},
                             table.columns["timestamp"][rows]))
-    return replace(imported, tables=tuple(tables), facts={**imported.facts, "layout": "lerobot",
-                                                             "lerobot.robot": robot})
+    return replace(imported, tables=tuple(tables), facts={**imported.facts, ROBOT: robot})
 
 
 def _called(name: str, names: Mapping[str, list[str]]) -> str:
     kind, _, number = name.rstrip("]").partition("[")
-    known = names.get(kind, [])
-    joint = known[int(number) - 1] if int(number) <= len(known) else ""
+    joints = names.get(kind, [])
+    joint = joints[int(number) - 1] if int(number) <= len(joints) else ""
     if kind in LOADS:
         kind, joint = LOADS[kind], SIGNAL.sub("", joint)
     return f"{kind}.{joint}" if joint else f"{kind}[{number}]"
@@ -98,11 +104,10 @@ def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
 
 def stated(imported: ImportedFile, name: str, contract: str) -> Column:
     """Column `name` as its layout means it, in the units of the layout; else with the unit that its name states."""
-    if imported.facts.get("layout") == "lerobot":
+    if ROBOT in imported.facts:
         return Column(name=name, unit="deg" if _counts_degrees(imported) else "")
     if PACE.match(name) or name in (BAM_ANGLE, BAM_GOAL):
-        return Column(name=f"{BAM_GOAL} / {BAM_ON}" if name == BAM_GOAL and BAM_ON in imported.names else name,
-                      unit="rad")
+        return Column(name=name, unit="rad")
     return angle_register(imported, name) or Column(name=name, unit=unit_in_name(name, contract))
 
 
@@ -131,25 +136,24 @@ def motor_columns(imported: ImportedFile) -> dict[str, Column]:
     """The columns `duty`, `volts` and `torque_enable` of a layout, or of them what it has; empty for other files."""
     if BAM_LOAD not in imported.names or BAM_VOLTS not in imported.names:
         return motor_registers(imported)
-    on = imported.table_of(BAM_ON).columns[BAM_ON] if BAM_ON in imported.names else np.ones(1)
-    known = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
-    load = imported.table_of(BAM_LOAD).columns[BAM_LOAD]
-    load = load[np.isfinite(load)]
-    if not load.size or not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
-        return known  # of other servos BAM does not say what its load is
+    on = imported.values(BAM_ON) if BAM_ON in imported.names else np.ones(1)
+    columns = {"volts": Column(name=BAM_VOLTS)} | ({ENABLED: Column(name=BAM_ON)} if np.ptp(on) > 0.0 else {})
+    load = known(imported, BAM_LOAD)
+    if not np.ptp(load) or "xl330" not in imported.facts.get("bam.motor", ""):
+        return columns  # of other servos BAM does not say what its load is
     counts = np.abs(load).max() > 1.0
-    return known | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
+    return columns | {"duty": Column(name=BAM_LOAD, scale=1.0 / PWM_FULL, bits=16) if counts else Column(name=BAM_LOAD)}
 
 
 def without_sign(imported: ImportedFile, name: str) -> bool:
     """Whether a column of BAM's layout is a magnitude, as the torque and the current of kscalelabs/sysid are."""
-    values = imported.table_of(name).columns[name]
+    values = imported.values(name)
     return BAM_ANGLE in imported.names and bool(np.nanmin(values) >= 0.0)
 
 
 def layout_warnings(imported: ImportedFile, used: Mapping[str, Column]) -> list[str]:
     """Sentences on what the files of a layout leave open."""
-    if imported.facts.get("layout") == "lerobot":
+    if ROBOT in imported.facts:
         loads = {name: column for name, column in used.items() if LOAD_COLUMN.fullmatch(name)}
         return [_lerobot(imported, used), *([_unit_of_loads(loads)] if loads else [])]
     if BAM_ANGLE in imported.names:
@@ -172,13 +176,13 @@ def _unit_of_loads(loads: Mapping[str, Column]) -> str:
 
 def _counts_degrees(imported: ImportedFile) -> bool:
     """The robot is one of hobby servos, whose angles LeRobot gives in degrees or in per cent; or nothing is known."""
-    robot = imported.facts.get("lerobot.robot", "")
-    return not robot or bool(re.search(HOBBY, robot, re.IGNORECASE))
+    robot = imported.facts.get(ROBOT, "")
+    return not robot or says(robot, HOBBY)
 
 
 def _lerobot(imported: ImportedFile, used: Mapping[str, Column]) -> str:
     if not _counts_degrees(imported):
-        return (f"LeRobot's files do not say the unit of the angles of {imported.facts['lerobot.robot']!r}, nor where "
+        return (f"LeRobot's files do not say the unit of the angles of {imported.facts[ROBOT]!r}, nor where "
                 "their zero is: set unit and offset by the robot's description")
     bare = [column.name.partition("{")[0] for name, column in used.items() if name.endswith("_rad")]
     far = max((float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) for table in imported.tables

@@ -11,8 +11,7 @@ import numpy as np
 from daq import Column, Dataset, InputError, Rig, load_rig, open_regular
 from daq.runs import SUFFIXES, missing, read_csv
 from daq.timing import align_table
-from experiments.exchange.archives import SUFFIXES as ARCHIVES
-from experiments.exchange.archives import read_archive
+from experiments.exchange.archives import read_hdf5, read_json, read_numpy
 from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.bounded import Reader, read_bounded
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
@@ -39,16 +38,18 @@ OWN_TOPICS = {
     "accel_y_mps2": Column(name="/imu/linear_acceleration/y"),
 }
 """How the messages of `legid export --to ros2` are read back."""
-SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5, .pt, .pkl, .json, .db3, a bag's "
-              "folder, or a CAN log (.log, .asc, .blf)")
+SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5, .json, .db3, a bag's folder, or a "
+              "CAN log (.log, .asc, .blf)")
+PICKLES = {".pkl": "pickle", ".pickle": "pickle", ".pt": "PyTorch", ".pth": "PyTorch"}
+"""Files that hold a program, which legid does not run -> whose."""
 
-
-_BAG = Reader(read_bag, "a ROS bag", "rosbags.highlevel")
+_BAG, _CAN = Reader(read_bag, "a ROS bag", "rosbags.highlevel"), Reader(read_can_log, "a CAN log", "can")
 _READERS: tuple[tuple[tuple[str, ...], Reader], ...] = (
     ((".mcap", ".db3", ".bag"), _BAG), ((".mat",), Reader(read_mat, "a MATLAB file", "scipy.io")),
-    ((".h5", ".hdf5"), Reader(read_archive, library="h5py")), (ARCHIVES, Reader(read_archive)),
+    ((".h5", ".hdf5"), Reader(read_hdf5, library="h5py")), ((".npz", ".npy"), Reader(read_numpy)),
+    ((".json",), Reader(read_json)),
     ((".parquet",), Reader(read_parquet, "Parquet", "pyarrow.parquet")),
-    (CAN_LOGS, Reader(read_can_log, "a CAN log", "can")), (TEXT, Reader(read_delimited, "a table of text")))
+    (CAN_LOGS, _CAN), (TEXT, Reader(read_delimited, "a table of text")))
 """Ending of the name -> what reads it."""
 
 
@@ -67,7 +68,11 @@ def read_imported(path: Path | str) -> ImportedFile:
         raise InputError(str(path), "is a pointer of Git LFS, not the file", "fetch it with git lfs pull")
     reader = next((reader for endings, reader in _READERS if name.endswith(endings)), None)
     if name.endswith(".log") and is_candump(path):
-        reader = Reader(read_can_log, "a CAN log", "can")
+        reader = _CAN
+    program = PICKLES.get(path.suffix.lower())
+    if program is not None:
+        raise InputError(str(path), f"is a {program} file, a program that legid does not run",
+                         "save its columns as CSV, Parquet or .npz: see docs/exchange.md, Kinds of file")
     if reader is None:
         raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
     return with_layout(read_bounded(reader, path, size), path)
@@ -141,7 +146,7 @@ def mapped(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None, as
     own = {name: column for name, column in OWN_TOPICS.items() if column.name in imported.names}
     run = own_export(imported, rate_hz) or apply_map(imported, own or identity(imported), rate_hz, as_read)
     if own and CLOCK_BOUND in imported.names:
-        return replace(run, clock_bound_s=float(imported.table_of(CLOCK_BOUND).columns[CLOCK_BOUND][0]))
+        return replace(run, clock_bound_s=float(imported.values(CLOCK_BOUND)[0]))
     return run
 
 

@@ -56,11 +56,10 @@ def angle_register(imported: ImportedFile, name: str) -> Column | None:
     if not re.search(r"(present|goal|target)_position|position_(present|goal|target)|pos(ition)?_(counts|raw|ticks)",
                      _plain(name)):
         return None
-    values = imported.table_of(name).columns[name]
-    known = values[np.isfinite(values)]
-    if not known.size or np.abs(known).max() < COUNTS or (known != np.round(known)).any():
+    counts = known(imported, name)
+    if np.abs(counts).max() < COUNTS or (counts != np.round(counts)).any():
         return None
-    most = known.max()
+    most = counts.max()
     how = Column(name=name, unit="turn", scale=1.0 / TURN, offset=-math.pi)
     if most >= 2**31:
         return structs.replace(how, bits=32)
@@ -73,27 +72,22 @@ def motor_registers(imported: ImportedFile) -> dict[str, Column]:
     found = {_plain(name): name for name in imported.names}
     volts, pwm, load, on = (next((name for plain, name in found.items() if re.fullmatch(rf"(.*_)?{what}", plain)), "")
                             for what in (r"(input_)?voltage", "present_pwm", "present_load", ENABLED))
-    enabled = {ENABLED: Column(name=on)} if on and np.ptp(_known(imported, on)) > 0.0 else {}
-    if not volts or not (pwm or load) or not _moves(imported, pwm or load):
+    enabled = {ENABLED: Column(name=on)} if on and np.ptp(known(imported, on)) > 0.0 else {}
+    if not volts or not (pwm or load):
         return enabled
-    read = _known(imported, volts)
-    supply = Column(name=volts, scale=0.1 if np.median(read) > MOST_VOLTS else 1.0)
+    counts = known(imported, pwm or load)
+    if counts.max() <= 2.0 or not np.ptp(counts):
+        return enabled
+    supply = Column(name=volts, scale=0.1 if np.median(known(imported, volts)) > MOST_VOLTS else 1.0)
     duty = Column(name=pwm, scale=1.0 / PWM_FULL, bits=16) if pwm else \
         Column(name=load, scale=1.0 / LOAD_FULL, sign_bit=10)
     return {"duty": duty, "volts": supply, **enabled}
 
 
-def _known(imported: ImportedFile, name: str) -> FloatArray:
+def known(imported: ImportedFile, name: str) -> FloatArray:
     """Its numbers that were read; one zero where none was."""
-    values = imported.table_of(name).columns[name]
-    known = values[np.isfinite(values)]
-    return known if known.size else np.zeros(1)
-
-
-def _moves(imported: ImportedFile, name: str) -> bool:
-    """Its numbers are counts, and differ."""
-    values = _known(imported, name)
-    return bool(values.max() > 2.0 and np.ptp(values) > 0.0)
+    values = imported.values(name)
+    return values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
 
 
 def _plain(name: str) -> str:

@@ -13,7 +13,7 @@ What was not measured has a covariance that begins with -1 (orientation) or is 0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from daq import Dataset, FloatArray, InputError, Rig, load_rig, write_file
-from daq.runs import IMU, RawRun, read_run
+from daq.runs import IMU, read_run
 from daq.timing import TimedColumns, decode, recorded_rig
 from experiments.exchange.reading import is_native, load_to_convert
 
@@ -66,57 +66,39 @@ def _samples(path: Path | str, rig_path: Path | str | None) -> tuple[list[TimedC
     raw = read_run(path)
     rig: Rig = recorded_rig(raw) if rig_path is None else load_rig(rig_path)
     found = decode(raw, rig)
-    start_ns, notes = _wall_clock_ns(raw, found.epoch_ns)
-    return found.channels, start_ns, found.bound_s, notes
-
-
-def _wall_clock_ns(raw: RawRun, epoch_ns: int) -> tuple[int, list[str]]:
-    facts = raw.facts
-    if "started_unix_ns" not in facts or "started_monotonic_ns" not in facts:
-        return 0, ["the run does not say when it was recorded: times count from 1970"]
-    return int(facts["started_unix_ns"]) - int(facts["started_monotonic_ns"]) + epoch_ns, []
+    if not {"started_unix_ns", "started_monotonic_ns"} <= raw.facts.keys():
+        notes = ["the run does not say when it was recorded: times count from 1970"]
+        return found.channels, 0, found.bound_s, notes
+    start_ns = int(raw.facts["started_unix_ns"]) - int(raw.facts["started_monotonic_ns"]) + found.epoch_ns
+    return found.channels, start_ns, found.bound_s, []
 
 
 def _messages(channels: Sequence[TimedColumns], start_ns: int, store: Any) -> dict[str, tuple[str, list[Message]]]:
     """Topic -> its type and (time, CDR) of every message."""
-    types = store.types
-    time_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    imu_type, state_type = types["sensor_msgs/msg/Imu"], types["sensor_msgs/msg/JointState"]
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    nothing, unknown = np.zeros(9), np.array([-1.0] + [0.0] * 8)
-    empty = np.zeros(0)
-    upright = quaternion(0.0, 0.0, 0.0, 1.0)
+    types, topics = store.types, dict[str, tuple[str, list[Message]]]()
 
-    def stamped(channel: TimedColumns, kind: str, frame: str, build: Callable[[Any, int], Any]) -> list[Message]:
-        out = []
-        for k, t in enumerate(np.rint(channel.time_s * 1e9).astype(np.int64)):
-            at = start_ns + int(t)
-            header = header_type(time_type(*divmod(at, 1_000_000_000)), frame)
-            out.append((at, bytes(store.serialize_cdr(build(header, k), kind))))
-        return out
+    def put(topic: str, kind: str, frame: str, time_s: FloatArray, rows: Iterable[Sequence[Any]]) -> None:
+        topics[topic] = kind, []
+        for t, row in zip(np.rint(time_s * 1e9).astype(np.int64).tolist(), rows):
+            stamp = types["builtin_interfaces/msg/Time"](*divmod(start_ns + t, 1_000_000_000))
+            message = types[kind](types["std_msgs/msg/Header"](stamp, frame), *row)
+            topics[topic][1].append((start_ns + t, bytes(store.serialize_cdr(message, kind))))
 
-    topics: dict[str, tuple[str, list[Message]]] = {}
+    vector, upright = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    nothing, unknown, empty = np.zeros(9), np.array([-1.0] + [0.0] * 8), np.zeros(0)
     for channel in channels:
         if all(name in channel.columns for name in IMU):
-            gyro, a_x, a_y = (channel.columns[name] for name in IMU)
-
-            def imu(header: Any, k: int, gyro: FloatArray = gyro, a_x: FloatArray = a_x, a_y: FloatArray = a_y) -> Any:
-                return imu_type(header, upright, unknown, vector(0.0, 0.0, -float(gyro[k])), nothing,
-                                vector(float(a_x[k]), float(a_y[k]), 0.0), nothing)
-
-            topics["/imu"] = "sensor_msgs/msg/Imu", stamped(channel, "sensor_msgs/msg/Imu", "imu_link", imu)
+            put("/imu", "sensor_msgs/msg/Imu", "imu_link", channel.time_s, (
+                (upright, unknown, vector(0.0, 0.0, -w), nothing, vector(x, y, 0.0), nothing)
+                for w, x, y in zip(*(channel.columns[name].tolist() for name in IMU))))
         for topic in dict.fromkeys(topic for topic, _, _ in JOINTS.values()):
             mine = {joint: channel.columns[name] for name, (where, joint, _) in JOINTS.items()
                     if where == topic and name in channel.columns}
             if mine:
-                effort = topic != "/joint_states"
-
-                def state(header: Any, k: int, mine: dict[str, FloatArray] = mine, effort: bool = effort) -> Any:
-                    numbers = np.array([values[k] for values in mine.values()])
-                    return state_type(header, list(mine), empty if effort else numbers, empty,
-                                      numbers if effort else empty)
-
-                topics[topic] = "sensor_msgs/msg/JointState", stamped(channel, "sensor_msgs/msg/JointState", "", state)
+                rows = np.stack(list(mine.values()), axis=1)
+                put(topic, "sensor_msgs/msg/JointState", "", channel.time_s, (
+                    (list(mine), row, empty, empty) if topic == "/joint_states" else (list(mine), empty, empty, row)
+                    for row in rows))
     return topics
 
 

@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq import InputError
+from daq import FloatArray, InputError
 from experiments.exchange.imported import ImportedFile, Table
 
-SUFFIXES = (".mcap", ".db3", ".bag")
 PARALLEL = {"position": "position", "velocity": "velocity", "effort": "effort",
             "positions": "position", "velocities": "velocity", "accelerations": "acceleration"}
 """Fields of a JointState, or of a point in a controller's state, that go with the names of joints -> what one is."""
@@ -55,12 +54,12 @@ def read_bag(path: Path) -> ImportedFile:
     for topic, some in planned.items():
         if some:
             times[topic] = _times_of(some, rows, times)
-            rows[topic] = _sampled(some, times[topic], topic)
     if not times:
         raise InputError(str(path), "holds no message", "record again")
     first = min(min(stamps) for stamps in times.values())
-    return ImportedFile(path.name, tuple(_table(rows[topic], times[topic], first) for topic in rows),
-                   {"started_unix_ns": str(first)})
+    return ImportedFile(path.name, tuple(Table(
+        _columns(rows[topic]) if topic in rows else _sampled(planned[topic], stamps, topic),
+        (np.array(stamps, dtype=np.int64) - first).astype(np.float64) * 1e-9) for topic, stamps in times.items()))
 
 
 class _Point(NamedTuple):
@@ -98,7 +97,7 @@ def _times_of(points: list[_Point], rows: Mapping[str, list[dict[str, float]]], 
     return [t for t in found if t >= first] or [first]
 
 
-def _sampled(points: list[_Point], at_ns: list[int], topic: str) -> list[dict[str, float]]:
+def _sampled(points: list[_Point], at_ns: list[int], topic: str) -> dict[str, FloatArray]:
     """The command at each of `at_ns`: lines between points, the last one's values after it."""
     first, names = points[0].at_ns, dict.fromkeys(name for point in points for name in point.values)
     known = np.array([point.at_ns - first for point in points], dtype=np.float64)
@@ -109,13 +108,13 @@ def _sampled(points: list[_Point], at_ns: list[int], topic: str) -> list[dict[st
         there = np.isfinite(values)
         if there.any():
             columns[f"{topic}{name}"] = np.interp(wanted, known[there], values[there])
-    return [{name: float(values[k]) for name, values in columns.items()} for k in range(len(at_ns))]
+    return columns
 
 
-def _table(rows: list[dict[str, float]], stamps: list[int], first: int) -> Table:
-    time_s = (np.array(stamps, dtype=np.int64) - first).astype(np.float64) * 1e-9
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return Table({name: np.array([row.get(name, np.nan) for row in rows]) for name in names}, time_s)
+def _columns(rows: list[dict[str, float]]) -> dict[str, FloatArray]:
+    """Those of one topic; NaN where a message lacks one."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
 
 def _stamp_ns(message: Any) -> int:

@@ -17,7 +17,6 @@ _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?)"
 _ZONE = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2})?"
 FORMS = (*(re.compile(rf"{day}[T\s]\s*{_CLOCK}{_ZONE}") for day in (_ISO, _POINTS, _SLASHES)), re.compile(_CLOCK))
 """A date by its mark, and a time of day; the last: a time of day alone, which may go over midnight."""
-EPOCH = date(1970, 1, 1)
 MOST_WRONG = 0.05
 
 
@@ -41,13 +40,13 @@ def read_times(cells: Sequence[str]) -> FloatArray | None:
     except ValueError:  # a 13th month, a 25th hour
         return None
     if form is FORMS[-1]:
-        return np.asarray(clocks)
+        return clocks
     first_row = int(np.flatnonzero(np.isfinite(days))[0])
-    return np.asarray(86400.0 * (days - days[first_row]) + (clocks - clocks[first_row]))
+    return 86400.0 * (days - days[first_row]) + (clocks - clocks[first_row])
 
 
 def _parts(parts: dict[str, str | None], swapped: bool) -> tuple[float, float]:
-    """Days since 1970, 0 without a date, and seconds of the day: apart, since their sum has too few digits."""
+    """Number of the day, 0 without a date, and seconds of the day: apart, since their sum has too few digits."""
     clock = 3600.0 * int(parts["h"] or 0) + 60.0 * int(parts["m"] or 0) + float((parts["s"] or "0").replace(",", "."))
     if "year" not in parts:
         return 0.0, clock
@@ -58,4 +57,4 @@ def _parts(parts: dict[str, str | None], swapped: bool) -> tuple[float, float]:
     if zone not in ("Z", "UTC"):
         ahead = 3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:])
         clock -= -ahead if zone[0] == "-" else ahead
-    return float((date(int(parts["year"] or 0), int(month or 0), int(day or 0)) - EPOCH).days), clock
+    return float(date(int(parts["year"] or 0), int(month or 0), int(day or 0)).toordinal()), clock

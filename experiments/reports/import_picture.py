@@ -17,8 +17,9 @@ GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
 
 def guess_rows(guess: Guess) -> list[list[str]]:
     """One row of GUESS_HEADER a column."""
-    return [[name, column.name, column.unit or si_unit(name), f"{column.sign:+d}",
-             guess.notes.get(name, "").replace("\n", "; ")] for name, column in guess.columns.items()]
+    return [[name, " - ".join(filter(None, (column.name, column.minus))), column.unit or si_unit(name),
+             f"{column.sign:+d}", guess.notes.get(name, "").replace("\n", "; ")]
+            for name, column in guess.columns.items()]
 
 
 def guess_table(guess: Guess) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import sqlite3
 import warnings
 import zipfile
@@ -24,7 +23,6 @@ from experiments.exchange import load_map, map_text, read_imported
 from experiments.rig import prior_table
 from experiments.simulators import read_robot
 from tests.support.imported_files import ros2_bag
-from tests.support.nested_files import torch_archive
 
 Make = Callable[[np.random.Generator, Path], None]
 TYPES = ("f8", "f4", "f2", "i8", "i4", "i2", "u1", "?", "c16", "S3", "U3", "M8[ns]", "m8[s]", ">f8")
@@ -66,10 +64,6 @@ def named(rng: np.random.Generator) -> dict[str, Any]:
 def make_json(rng: np.random.Generator, path: Path) -> None:
     path.write_text(json.dumps(named(rng), default=lambda value: (
         value.astype(str) if value.dtype.kind in "cMmS" else value).tolist()))
-
-
-def make_pickle(rng: np.random.Generator, path: Path) -> None:
-    path.write_bytes(pickle.dumps(named(rng), protocol=int(rng.integers(0, 6))))
 
 
 def make_npz(rng: np.random.Generator, path: Path) -> None:
@@ -225,10 +219,9 @@ def read_bodies(path: Path) -> None:
 
 
 MAKERS: dict[str, tuple[str, Make]] = {
-    "json": (".json", make_json), "pickle": (".pkl", make_pickle), "npz": (".npz", make_npz), "mat": (".mat", make_mat),
-    "hdf5": (".h5", make_hdf5), "parquet": (".parquet", make_parquet), "text": (".txt", make_text),
-    "can": (".log", make_can), "db3": (".db3", make_db3), "urdf": (".urdf", make_urdf),
-    "mjcf": (".xml", make_mjcf)}
+    "json": (".json", make_json), "npz": (".npz", make_npz), "mat": (".mat", make_mat), "hdf5": (".h5", make_hdf5),
+    "parquet": (".parquet", make_parquet), "text": (".txt", make_text), "can": (".log", make_can),
+    "db3": (".db3", make_db3), "urdf": (".urdf", make_urdf), "mjcf": (".xml", make_mjcf)}
 
 
 def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], object], Make | None]]:
@@ -241,14 +234,12 @@ def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], 
             whole.append((folder / f"w{ending}").read_bytes())
         out[name] = (ending, whole, read_bodies if name in ("urdf", "mjcf") else read_imported, make)
     t = np.arange(60.0)
-    torch_archive({"t": t, "q2": np.sin(t)}, folder / "w.pt")
     run = Dataset("run", 10.0, t, {name: np.sin(t + k) for k, name in enumerate(
         ("q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"))})
     bag = next(ros2_bag(run, folder / "bag", StoragePlugin.MCAP).glob("*.mcap"))
     base = next(ros2_bag(run, folder / "base", StoragePlugin.SQLITE3).glob("*.db3"))
     out["db3"] = (*out["db3"][:1], [base.read_bytes()], *out["db3"][2:])
     columns = map_text({"q2_rad": Column(name="knee", unit="deg")}).encode()
-    out["torch"] = (".pt", [(folder / "w.pt").read_bytes()], read_imported, None)
     out["bag"] = (".mcap", [bag.read_bytes()], read_imported, None)
     out["map"] = (".toml", [columns], load_map, None)
     return out

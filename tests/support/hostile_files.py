@@ -7,7 +7,6 @@ import gzip
 import io
 import json
 import os
-import pickle
 import struct
 import zipfile
 from collections.abc import Callable
@@ -81,41 +80,6 @@ def npy_declared(folder: Path) -> str:
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
     (folder / "a.npy").write_bytes(b"\x93NUMPY\x01\0" + struct.pack("<H", 118) + head.ljust(117) + b"\n")
     return "a.npy"
-
-
-@attack(*IMPORT)
-def pickle_of_zeros(folder: Path) -> str:
-    """A pickle that asks for bytes by their count."""
-    (folder / "a.pkl").write_bytes(
-        b"\x80\x02cnumpy.core.numeric\n_frombuffer\n(J\xff\xff\xff\x7fcnumpy\ndtype\n(U\x02f8tRJ\xff\xff\xff\x0f\x85"
-        b"U\x01CtR.")
-    return "a.pkl"
-
-
-@attack(*IMPORT)
-def pickle_doubled(folder: Path) -> str:
-    """A pickle of 60 lists that each hold the one before twice."""
-    body = b"\x80\x02]"
-    for k in range(60):
-        body += b"q" + bytes([k]) + b"](h" + bytes([k]) + b"h" + bytes([k]) + b"e"
-    (folder / "b.pkl").write_bytes(body + b".")
-    return "b.pkl"
-
-
-@attack(*FIT)
-def pickle_itself(folder: Path) -> str:
-    """A pickle of a list that holds itself."""
-    own: list[Any] = []
-    own.append(own)
-    (folder / "c.pkl").write_bytes(pickle.dumps(own))
-    return "c.pkl"
-
-
-@attack(*IMPORT)
-def pickle_of_code(folder: Path) -> str:
-    """A pickle that asks for os.system."""
-    (folder / "d.pkl").write_bytes(b"cos\nsystem\n(S'touch ran'\ntR.")
-    return "d.pkl"
 
 
 @attack(*IMPORT)

@@ -26,13 +26,13 @@ WHOLE = ".13g"
 
 COMMAND = Command(
     "import", "files of other programs as runs",
-    "Read CSV of any dialect, MATLAB, HDF5, NumPy, PyTorch, pickle, JSON, Parquet and ROS bags by a map of columns, "
-    "and write runs as CSV. A file that cannot be read is named, and the others are imported. Without --map legid "
-    "guesses the map by names, gravity and the equation of motion. It shows what it found in each file, writes the map "
-    "and a page, and asks whether to import. --guess does the same and imports nothing. The same table as [columns] in "
-    "a rig.toml lets every command read such files.", (
+    "Read CSV of any dialect, MATLAB, HDF5, NumPy, JSON, Parquet and ROS bags by a map of columns, and write runs as "
+    "CSV. A file that cannot be read is named, and the others are imported. Without --map legid guesses the map by "
+    "names, gravity and the equation of motion. It shows what it found in each file, writes the map and a page, and "
+    "asks whether to import. --guess does the same and imports nothing. The same table as [columns] in a rig.toml lets "
+    "every command read such files.", (
         argument("files", metavar="FILE", nargs="+",
-                 help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder"),
+                 help=".csv, .txt, .mat, .npz, .h5, .json, .parquet, .mcap, .db3, or a bag's folder"),
         argument("--map", metavar="COLUMNS.toml",
                  help="the map of columns; default: columns.toml in DIR, guessed anew until it is edited"),
         argument("--guess", action="store_true",

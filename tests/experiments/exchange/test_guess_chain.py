@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.cli import main
-from experiments.exchange.column_map import load_map
-from experiments.exchange.guess_chain import driven_joints
+from experiments.exchange.column_map import apply_map, load_map
+from experiments.exchange.guess_chain import of_joints
+from experiments.exchange.reading import read_imported
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 
 
@@ -48,7 +49,15 @@ def test_units_and_signs_of_a_chain(names: list[str], unit: float, written: str,
 def test_absolute_angles_become_relative_ones(tmp_path: Path) -> None:
     file, columns = record(tmp_path / "x.csv", NUMBERED, absolute=True), tmp_path / "c.toml"
     assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
-    assert [load_map(columns)[f"q{k}_rad"].name for k in (1, 2, 3)] == ["q1", "'q2' - 'q1'", "'q3' - 'q2'"]
+    found = load_map(columns)
+    assert [(found[f"q{k}_rad"].name, found[f"q{k}_rad"].minus) for k in (1, 2, 3)] == [
+        ("q1", ""), ("q2", "q1"), ("q3", "q2")]
+    relative = np.loadtxt(record(tmp_path / "y.csv", NUMBERED), delimiter=",", skiprows=1)
+    run = apply_map(read_imported(file), found)
+    for k in (1, 2, 3):
+        kept = np.isfinite(run[f"q{k}_rad"])
+        assert kept.mean() > 0.95
+        np.testing.assert_allclose(run[f"q{k}_rad"][kept], relative[kept, k], atol=1e-6)
 
 
 def test_commands_and_sums_of_angles_are_no_joints(tmp_path: Path) -> None:
@@ -78,7 +87,7 @@ def test_two_driven_joints_go_to_a_fit(tmp_path: Path) -> None:
 def test_a_zero_that_does_not_hang_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = record(tmp_path / "x.csv", NUMBERED, tilt=1.5708)
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    assert "joint 1 hangs at 1.57 rad" in capsys.readouterr().err
+    assert "joint 1 hangs at 1.57 rad, not at 0: set offset = -1.57" in capsys.readouterr().err
 
 
 def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,4 +107,4 @@ def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: py
     (["position[0]", "position[1]"], ["effort[0]", "effort[1]"], [0, 1]),
 ])
 def test_a_torque_s_joint_shows_in_its_name(angles: list[str], torques_: list[str], joints: list[int]) -> None:
-    assert list(driven_joints(angles, torques_).values()) == joints
+    assert of_joints(angles, torques_) == dict(zip(joints, torques_))

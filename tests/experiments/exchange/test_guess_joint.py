@@ -108,8 +108,8 @@ def test_a_span_of_a_record_by_the_calendar_is_said_to_the_millisecond(
 
 def test_a_file_without_times_needs_a_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, columns = tmp_path / "x.json", tmp_path / "c.toml"
-    file.write_text(json.dumps({"rate": 50, "data": [{"angles": [k / 100 for k in range(100)]}]}))
-    columns.write_text('[columns.q1_rad]\nname = "data{1}.angles"\n')
+    file.write_text(json.dumps({"rate": 50, "data": {"angles": [k / 100 for k in range(100)]}}))
+    columns.write_text('[columns.q1_rad]\nname = "data.angles"\n')
     call = ["import", str(file), "--map", str(columns), "--out", str(tmp_path / "runs")]
     assert main(call) == 2
     assert "has no times" in (said := capsys.readouterr().err) and "--rate" in said

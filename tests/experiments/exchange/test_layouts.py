@@ -12,9 +12,9 @@ from daq.runs import read_csv
 from experiments.cli import main
 from experiments.exchange import guess_map, read_imported, runs_in
 from experiments.exchange.column_map import apply_map
-from tests.support.nested_files import torch_archive
 from tests.support.public_layouts import SO101, bam, dynamixel, feetech, lerobot, trajectory_bag
 from tests.support.servo_joint import servo_run
+from tests.support.tree_files import npz
 
 COUNT = 2.0 * np.pi / 4096
 DEGREE = np.pi / 180.0
@@ -29,26 +29,13 @@ def arm(seed: int, seconds: float = 6.0, scale: float = 1.0) -> list[Dataset]:
 def test_pace_holds_matrices_of_angles_and_commands_in_rad(joint: str, tmp_path: Path) -> None:
     run, other = servo_run(), servo_run(seed=2)
     q, c = ([other[name], other[name] - 0.2, run[name]] for name in ("q1_rad", "q1_cmd_rad"))
-    torch_archive({"time": run.time_s, "dof_pos": np.column_stack(q), "des_dof_pos": np.column_stack(c)},
-                  tmp_path / "chirp_data.pt")
-    found = guess_map(read_imported(tmp_path / "chirp_data.pt"), joints=(joint,))
+    npz({"time": run.time_s.astype("f4"), "dof_pos": np.column_stack(q).astype("f4"),
+         "des_dof_pos": np.column_stack(c).astype("f4")}, tmp_path / "chirp_data.npz")
+    found = guess_map(read_imported(tmp_path / "chirp_data.npz"), joints=(joint,))
     assert {name: (c.name, c.unit) for name, c in found.columns.items() if name != "time_s"} == {
         "q1_rad": ("dof_pos[3]", "rad"), "q1_cmd_rad": ("des_dof_pos[3]", "rad")}
     wanted = np.interp(found.run.time_s, run.time_s, run["q1_cmd_rad"])
     assert found.run["q1_cmd_rad"] == pytest.approx(wanted, abs=1e-4)  # float32, times too
-
-
-def test_a_pace_file_that_runs_code_runs_none(tmp_path: Path) -> None:
-    import pickle
-    import zipfile
-
-    class Bad:
-        def __reduce__(self) -> tuple[object, tuple[str]]:
-            return (print, ("run",))
-
-    with zipfile.ZipFile(tmp_path / "x.pt", "w") as archive:
-        archive.writestr("x/data.pkl", pickle.dumps({"time": Bad(), "dof_pos": Bad()}, protocol=2))
-    assert read_imported(tmp_path / "x.pt").names == []
 
 
 @pytest.mark.parametrize("v2", [False, True])
@@ -220,9 +207,9 @@ def test_degrees_in_whole_numbers_are_no_counts(tmp_path: Path) -> None:
 
 
 def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
-    (tmp_path / "x.pt").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 10\n")
+    (tmp_path / "x.parquet").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 10\n")
     with pytest.raises(InputError, match=r"is a pointer of Git LFS.*git lfs pull"):
-        read_imported(tmp_path / "x.pt")
+        read_imported(tmp_path / "x.parquet")
 
 
 def test_json_of_others_is_no_recording_of_bam(tmp_path: Path) -> None:
