@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from daq.dataset import FloatArray
 
 TURNS = tuple(2.0 * np.pi / k for k in (1, 2, 3, 4))
-"""Ranges over which an angle in rad is usually wrapped."""
+"""Ranges over which an angle in rad is wrapped: nothing is unwrapped by another."""
 NEAR_TURN = 0.01
 """A wrap is as large as its range to this share, and to the column's usual changes of its steps."""
 MOST_OTHERS = 2
@@ -20,8 +20,6 @@ SPAN_SHARE = 0.7
 EDGE_STEPS, EDGE_SHARE, MOST_EDGE = 2.5, 0.02, 0.3
 """A wrap leads from one end of the range to the other: within so many of the column's fastest steps and the first share
 of the range, which together are at most the second share: a column of noise wraps nowhere."""
-UNKNOWN_WRAPS = 3
-"""Wraps by a range that is no usual one, at least."""
 AROUND_WRAP, ONWARD = 10, 0.9
 """Samples on both sides of a wrap in which the joint moves on. Wraps where it clearly moves are against its motion in
 more than this share; a servo that goes from one end to the other moves with the jump, or not at all."""
@@ -96,20 +94,18 @@ def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | Non
     scale = scale_of(np.cumsum(smooth))
     usual, at = max(scale.fast, scale.resolution), np.flatnonzero(big)
     jumps = steps[at] - 0.5 * (smooth[np.maximum(at - 1, 0)] + smooth[np.minimum(at + 1, steps.size - 1)])
-    for modulus in (*TURNS, *([float(np.median(np.abs(jumps)))] if at.size else [])):
+    for modulus in TURNS:
         off = CHANGES * max(scale.change, scale.resolution) + NEAR_TURN * modulus
         limits = _Limits(modulus, EDGE_STEPS * usual + EDGE_SHARE * modulus, off, ends)
         if limits.slack > MOST_EDGE * modulus or ends[1] - ends[0] > modulus + limits.slack:
             continue
         fits = np.array([limits.wraps(jump, x[k], x[k + 1]) for k, jump in zip(at.tolist(), jumps)], bool)
-        known, count = modulus in TURNS, int(fits.sum())
-        few = count < (1 if known else UNKNOWN_WRAPS) or at.size - count > max(count, MOST_OTHERS)
-        few |= bool(count) and not _moves_on(smooth, at[fits], np.sign(jumps[fits]), scale.resolution)
+        count = int(fits.sum())
+        few = at.size - count > max(count, MOST_OTHERS) or not _moves_on(smooth, at[fits], np.sign(jumps[fits]),
+                                                                         scale.resolution)
         turned = np.zeros(x.size)
         if not few:
             turned[at[fits] + 1] = np.sign(jumps[fits])
-        elif not known:
-            continue
         out, over = _over_isolated(x - modulus * np.cumsum(turned), x, limits, usual)
         if not few or over:
             return out, modulus, np.sort(np.concatenate([np.flatnonzero(turned), np.array(over, dtype=np.intp)]))

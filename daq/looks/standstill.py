@@ -11,7 +11,7 @@ from daq.looks.jumps import scale_of
 
 STILL = 4.0
 """An angle stands still where it stays within so many times its resolution."""
-LEAST_S, LEAST_ROWS = 0.3, 12
+LEAST_S, LEAST_ROWS = 1.0, 50
 """Shortest standstill that is looked at."""
 MOVING = 0.2
 """Share of the run, at least, in which the joint moves: else nothing says how far a torque moves it."""

@@ -103,3 +103,28 @@ def test_as_read_takes_what_is_refused_otherwise() -> None:
     (fault,) = found.faults
     assert "two series take turns" in str(fault) and fault.done == "kept"
     np.testing.assert_array_equal(found.columns["q1_rad"], mixed)
+
+
+@pytest.mark.parametrize(("rate_hz", "seconds"), [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])
+def test_a_rate_that_was_made_from_an_angle_is_zero_at_rest(rate_hz: float, seconds: float) -> None:
+    """As in a public record: velocities that a log computed, with a rest before a release."""
+    time = np.arange(round(20.0 * rate_hz)) / rate_hz
+    rate = np.where(time > seconds, 3.0 * np.sin(5.0 * (time - seconds)) * np.exp(-0.1 * time), 0.0)
+    rate += np.where(time > seconds, 0.05 * np.random.default_rng(1).normal(size=time.size), 0.0)
+    assert not look(time, {"gyro_radps": rate}).faults
+
+
+@pytest.mark.parametrize("flip", [3.065, 2.9, 1.4])
+def test_an_angle_is_unwrapped_by_nothing_but_a_turn(flip: float) -> None:
+    """Roll and pitch of an attitude flip by other angles."""
+    time = np.arange(2000) / 100.0
+    angle = 0.03 * np.sin(time) + np.where((time % 4.0) < 2.0, flip, 0.0)
+    found = look(time, {"q1_rad": angle}, as_read=True)
+    assert not {fault.what for fault in found.faults} & {"wrapped"}
+
+
+def test_a_servo_that_starts_late_is_not_blocked() -> None:
+    """As in public records: it stands for 0.2 s in steps of a degree, under the current that later moves it."""
+    rng, time = np.random.default_rng(4), np.arange(370) / 75.0
+    angle = np.round(152.0 - np.maximum(time - 0.2, 0.0) * 30.0 + 0.3 * rng.normal(size=time.size)) * np.pi / 180.0
+    assert not look(time, {"q1_rad": angle, "tau1_nm": rng.choice([0.05, 0.07, 0.1, 0.25], time.size)}).faults
