@@ -224,7 +224,7 @@ def _jumps(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     unit, faults = _unit(name), list[ReadingFault]()
     for first, size in jumps.steps:
         text = (f"{name} steps by {size:.3g} {unit} at {time_s[first]:.6g} s (row {{row}}), and goes on as before: its "
-                "zero has changed, or the joint was moved by hand")
+                "zero has changed, or samples are missing")
         faults.append(ReadingFault(name, "stepped", ((first, first),), size, "kept", text, float(time_s[first])))
     off, frozen = np.zeros(x.size, bool), np.zeros(x.size, bool)
     worst = 0.0

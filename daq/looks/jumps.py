@@ -32,8 +32,9 @@ FASTEST, CHANGES, SMALLEST, NEIGHBOURS = 1.5, 12.0, 20.0, 4.0
 and the changes of its neighbours. (An impact that reverses the speed moves a reading by one fastest step at most.)"""
 MOVING, LEAST_MOVING = 5.0, 20
 """A column moves where its step exceeds so many times its resolution; what moves in fewer samples gives no scale."""
-MOST_ACCELERATION = 1e4
-"""No joint accelerates by more [rad/s2, m/s2]: from rest to rest over s within a period T takes 4 s / T^2."""
+MOST_ACCELERATION = 3e3
+"""No joint accelerates by more from one sample to the next [rad/s2, m/s2]: from rest to rest over s within a period T
+takes 4 s / T^2."""
 HELD_ROWS = 4
 """Equal readings next to a jump, at least, that were a frozen sensor."""
 NEAR_LAGS, IN_TURN, IN_TURN_TIMES = 4, 0.1, 10.0
@@ -174,28 +175,30 @@ def find_jumps(x: FloatArray, apart: NDArray[np.bool_], period_s: float) -> Jump
     suspects = np.flatnonzero(np.abs(np.diff(steps, prepend=0.0)) > 0.5 * least) + 1
     good = 0
 
-    def no_motion(first: int, stop: int, size: float) -> bool:
-        rates = [abs(float(np.mean(side))) if side.size else 0.0
-                 for side in (np.diff(x[max(first - 4, 0):first]), np.diff(x[stop:stop + 4]))]
-        return min(rates) > MOVING * scale.resolution or 4.0 * abs(size) > MOST_ACCELERATION * period_s**2
+    def moves_on(first: int, stop: int) -> bool:
+        return min(abs(float(np.mean(side))) if side.size else 0.0 for side in (
+            np.diff(x[max(first - 4, 0):first]), np.diff(x[stop:stop + 4]))) > MOVING * scale.resolution
+
+    def too_fast(size: float) -> bool:
+        return 4.0 * abs(size) > MOST_ACCELERATION * period_s**2
 
     for first in suspects.tolist():
         if first < good or abs(steps[first - 1]) <= 0.5 * least:
             continue
         for stop in suspects[(suspects > first) & (suspects <= min(first + LONGEST_ISOLATED, x.size - 2))].tolist():
             off = _off(x, first, stop, least)
-            if off and no_motion(first, stop, off):
+            if off and (moves_on(first, stop) or too_fast(off)):
                 found.isolated.append((first, stop))
                 good = stop + 1
                 break
         else:
             size = _step(x, first, least)
             start, stop = _held(x, first, -1), _held(x, first, 1)
-            if size and no_motion(start, stop, size):
+            if size and start < stop and moves_on(start, stop):
                 found.frozen.extend((a, b) for a, b in ((start, first), (first, stop)) if a < b)
-                if start == stop:
-                    found.steps.append((first, size))
                 good = stop
+            elif size and (moves_on(first, first) or too_fast(size)):
+                found.steps.append((first, size))
     return found
 
 

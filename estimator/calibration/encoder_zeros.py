@@ -33,11 +33,13 @@ LEAST_FALL = 0.1
 on two real arms; p < 1e-3 on 2 of 104 legs with other faults, with 2 % at most.)"""
 FEWEST_RUNS = 4
 """Of two or three, the halves agree by chance too often."""
-SHOWN_RAD, WRONG_RAD, SURE = 0.01, 0.015, 5.0
-"""Gravity shows a zero whose standard deviation is below the first. One beyond the second, five times what a zero set
-by hand may be off, and beyond so many standard deviations is taken off though nobody asked, ..."""
+SHOWN_RAD, SURE = 0.01, 5.0
+"""Gravity shows a zero whose standard deviation is below the first. What runs have in common is taken off where it
+exceeds so many standard deviations, ..."""
 PARTS, AGREE = 4, 2.0
-"""... if its mean over so many parts of the runs is so many times its largest departure from it in a part."""
+"""... and so many times its largest departure in one of so many parts of the runs."""
+WRONG_RAD = 0.015
+"""A zero is taken off though nobody asked if it is beyond five times what one that is set by hand may be off."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +98,16 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
 
 def find_hanging(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int]
                  ) -> Zeros | None:
-    """Zeros of `joints` in each run, with what all runs have in common; None where gravity does not show that."""
-    found = _with_common(datasets, mechanism, options, joints)
-    return found if found is not None and found.std.max() < SHOWN_RAD else None
+    """Zeros of `joints` in each run, with what all runs have in common where all parts of them agree on that; None
+    where gravity does not show it."""
+    whole = _with_common(datasets, mechanism, options, joints)
+    parts = None if whole is None else _with_common(_parts(datasets, PARTS), mechanism, options, joints)
+    if whole is None or parts is None or whole.std.max() >= SHOWN_RAD:
+        return None
+    mean = whole.values.mean(axis=0)
+    apart = np.abs(parts.values.reshape(len(datasets), PARTS, -1).mean(axis=0) - mean).max(axis=0)
+    sure = np.abs(mean) > np.maximum(SURE * whole.std.max(axis=0), AGREE * apart)
+    return replace(whole, values=whole.values - np.where(sure, 0.0, mean))
 
 
 def _with_common(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int]
@@ -111,23 +120,16 @@ def _with_common(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
 
 def find_wrong(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions
                ) -> tuple[Zeros, FloatArray] | None:
-    """Zeros of the joints that hang elsewhere than at 0 beyond doubt, by all parts of the runs, and the torque residual
-    with them over that without (n,); None for none."""
+    """Zeros of the joints that hang elsewhere than at 0, and the torque residual (n,) less these over that with them;
+    None for none."""
     joints = list(options.encoders_of(mechanism.n))
-    whole = find_hanging(datasets, mechanism, options, joints) if joints else None
-    if whole is None or (np.abs(whole.values) < np.maximum(WRONG_RAD, SURE * whole.std)).any(axis=0).all():
-        return None
-    parts = _with_common(_parts(datasets, PARTS), mechanism, options, joints)
-    if parts is None:
-        return None
-    mean = parts.values.mean(axis=0)
-    wrong = np.abs(mean) > np.maximum(WRONG_RAD, AGREE * np.abs(parts.values - mean).max(axis=0))
-    zeros = find_hanging(datasets, mechanism, options, [j for j, one in zip(joints, wrong) if one]) \
-        if wrong.any() else None
+    zeros = find_hanging(datasets, mechanism, options, joints) if joints else None
+    wrong = [] if zeros is None else [j for j, zero in zip(joints, zeros.values.mean(axis=0)) if abs(zero) > WRONG_RAD]
+    zeros = find_hanging(datasets, mechanism, options, wrong) if wrong else None
     if zeros is None:
         return None
     left = _left(datasets, mechanism, options, zeros)
-    return None if left.min() > 1.0 - LEAST_FALL else (zeros, left)
+    return (zeros, left) if left.min() < 1.0 - LEAST_FALL and left.max() < 1.0 + LEAST_FALL else None
 
 
 def _parts(datasets: Sequence[Dataset], count: int) -> list[Dataset]:

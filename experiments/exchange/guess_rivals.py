@@ -18,7 +18,7 @@ CLEARLY = 0.9
 """A rival leaves less than this share of what the likeliest name leaves: copies of one signal leave alike."""
 SAME, SLOPE, EXACT = 0.99, 0.02, 1.0 - 1e-9
 """Two columns whose names are of one joint are one angle again if they correlate by more, with a slope of one within
-this share or a motor's ratio; whatever their names, if they do so exactly."""
+this share or a motor's ratio; whatever their names, if they do so exactly and no number tells them apart."""
 MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|filt|filtered|smooth|raw|wrapped"
                        r"|unwrapped|unwrap|cont|meas|measured|actual|copy|enc|encoder|sim|rad|deg|motor|mot|rotor|load"
                        r"|link")
@@ -41,7 +41,9 @@ def without_copies(imported: ImportedFile) -> tuple[ImportedFile, list[str]]:
             slope, correlation = _line(imported.values(own), imported.values(name))
             motor = bool(MOTOR.search(name.lower())) and _of_one_joint(own, name)
             alike = any(abs(slope / scale - 1.0) < SLOPE for scale in (1.0, 180.0 / np.pi, np.pi / 180.0))
-            if correlation > EXACT or (correlation > SAME and (motor or (alike and _of_one_joint(own, name)))):
+            numbers = [re.findall(r"\d+", one) for one in (own, name)]
+            copy = correlation > EXACT and numbers[0] == numbers[1]
+            if copy or (correlation > SAME and (motor or (alike and _of_one_joint(own, name)))):
                 what = f"the motor's side of {own!r}, ratio {slope:.4g}" if motor and not alike else f"{own!r} again"
                 told[name] = f"{name!r} is {what} (correlation {correlation:.5f}, slope {slope:.4g}): left out"
                 break
