@@ -11,8 +11,9 @@ from daq.dataset import FloatArray
 
 TURNS = tuple(2.0 * np.pi / k for k in (1, 2, 3, 4))
 """Ranges over which an angle in rad is wrapped: nothing is unwrapped by another."""
-NEAR_TURN = 0.01
-"""A wrap is as large as its range to this share, and to the column's usual changes of its steps."""
+NEAR_TURN, MOST_UNSURE = 0.01, 0.05
+"""A wrap is as large as its range to the first share, and to the changes of the steps next to it, of which the second
+share counts at most: a potentiometer passes its dead band in several samples."""
 MOST_OTHERS = 2
 """Large jumps in addition to the wraps, at most, or as many as there are wraps."""
 SPAN_SHARE = 0.7
@@ -94,13 +95,15 @@ def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | Non
     smooth = np.where(big, 0.0, steps)
     scale = scale_of(np.cumsum(smooth))
     usual, at = max(scale.fast, scale.resolution), np.flatnonzero(big)
-    jumps = steps[at] - 0.5 * (smooth[np.maximum(at - 1, 0)] + smooth[np.minimum(at + 1, steps.size - 1)])
+    before, behind = smooth[np.maximum(at - 1, 0)], smooth[np.minimum(at + 1, steps.size - 1)]
+    jumps, unsure = steps[at] - 0.5 * (before + behind), NEIGHBOURS * (np.abs(behind - before) + scale.resolution)
     for modulus in TURNS:
         off = CHANGES * max(scale.change, scale.resolution) + NEAR_TURN * modulus
         limits = _Limits(modulus, EDGE_STEPS * usual + EDGE_SHARE * modulus, off, ends)
         if limits.slack > MOST_EDGE * modulus or ends[1] - ends[0] > modulus + limits.slack:
             continue
         fits = np.array([limits.wraps(jump, x[k], x[k + 1]) for k, jump in zip(at.tolist(), jumps)], bool)
+        fits &= np.abs(np.abs(jumps) - modulus) < NEAR_TURN * modulus + np.minimum(unsure, MOST_UNSURE * modulus)
         count = int(fits.sum())
         few = at.size - count > max(count, MOST_OTHERS) or not _moves_on(smooth, at[fits], np.sign(jumps[fits]),
                                                                          scale.resolution)
