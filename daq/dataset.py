@@ -68,6 +68,11 @@ class Dataset:
             if values.shape != (n,):
                 raise ValueError(f"column {name} has shape {values.shape}, the grid has {n} samples")
 
+    @property
+    def told(self) -> tuple[Flag, ...]:
+        """Its flags, and one for each fault of its readings."""
+        return (*self.flags, *(Flag("readings", str(fault)) for fault in self.readings))
+
     def __len__(self) -> int:
         return int(self.time_s.shape[0])
 

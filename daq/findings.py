@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 from typing import Literal
 
 DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
 FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid", "clock",
                    "readings"]
-FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal", "standstill", "lost"]
-RemedyKind = Literal["left_out", "unwrapped", "joined", "kept"]
+FaultKind = Literal["clipped", "wrapped", "isolated", "stepped", "frozen", "repeated", "denormal", "standstill", "lost",
+                    "refused", "start"]
+RemedyKind = Literal["left_out", "unwrapped", "joined", "zeroed", "kept"]
+DONE = {"left_out": "Left out", "unwrapped": "Unwrapped", "joined": "Joined", "zeroed": "Taken for zero",
+        "kept": "Left as read"}
 
 
 @dataclass(frozen=True)
@@ -48,16 +52,18 @@ class ReadingFault:
     """The level, the jump or the error, in the column's unit; for repeats how often each reading stands."""
     done: RemedyKind
     text: str
-    """For a person, one sentence."""
+    """For a person, one sentence without a full stop."""
+    time_s: float = nan
+    """Of a step."""
 
     @property
     def document(self) -> dict[str, object]:
         """For the JSON documents."""
         return {"column": self.column, "what": self.what, "rows": [list(place) for place in self.rows],
-                "size": self.size, "done": self.done, "text": self.text}
+                "size": self.size, "done": self.done, "text": str(self)}
 
     def __str__(self) -> str:
-        return self.text
+        return f"{self.text}. {DONE[self.done]}"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ class Sampling(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Of the grid; None: each record's own."""
     hold: Literal["auto", "zero", "past", "linear", "average", "smooth"] = "auto"
     """How the measured torque acts between samples; auto: as the motion makes likeliest."""
+    as_read: bool = False
+    """No reading is altered or left out; what is wrong with them is told all the same."""
 
     @property
     def planned_hz(self) -> float:

@@ -27,6 +27,7 @@ from evidence.registry import Evidence
 from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
 from experiments.workflows import fit_runs
+from tests.support.motions import ENCODERS, MOTIONS, healthy
 from tests.support.mujoco_leg import multisine, random_leg, record
 from tests.support.paths import REAL
 
@@ -36,6 +37,8 @@ SHARES = (0.02, 0.05, 0.10, 0.15, 0.25, 0.40)
 SIDES = ("both sides", "one side")
 WITHIN = 2.0
 """Largest error of beta1 to beta5 [%] that is aimed at up to 15 % of the samples."""
+RATES_HZ = (10.0, 20.0, 50.0, 100.0, 250.0, 1000.0)
+"""Of records of the kinds of motion."""
 JUDGED, NAMED_LEGS = 5, 10
 PLAIN_LEGS, PLAIN_RUNS = 15, 8
 
@@ -51,6 +54,17 @@ def found_in_healthy(family: str, seed: int) -> tuple[int, list[str]]:
     return len(leg.runs), [*(f"{run.name}: {fault}" for run in leg.runs
                              for fault in look(run.time_s, run.columns).faults),
                            *(f"{run.name}: {fault}" for run in moved for fault in run.readings)]
+
+
+def found_in_motions(kind: str, seed: int) -> list[str]:
+    """What the looks found in records of one kind of motion, one a rate and an encoder; a wrap is no false finding."""
+    found = []
+    for rate_hz in RATES_HZ:
+        for encoder in ENCODERS:
+            time_s, columns = healthy(kind, rate_hz, encoder, seed, 20.0 if rate_hz < 1000.0 else 6.0)
+            faults = look(time_s, columns, as_read=True).faults
+            found += [f"{kind}, {rate_hz:g} Hz, {encoder}: {fault}" for fault in faults if fault.what != "wrapped"]
+    return found
 
 
 def found_in_records(folder: Path) -> tuple[int, list[str]]:
@@ -241,6 +255,9 @@ def _healthy(seed: int, records: Path) -> Iterator[str]:
     found = {family: found_in_healthy(family, seed) for family in FAMILIES}
     found["MuJoCo, an open-loop torque"] = len(plain), [
         f"{run.name}: {fault}" for run in plain for fault in look(run.time_s, run.columns).faults]
+    for kind in MOTIONS:
+        found[f"{kind}, {RATES_HZ[0]:g} to {RATES_HZ[-1]:g} Hz"] = (
+            len(RATES_HZ) * len(ENCODERS), found_in_motions(kind, seed))
     if records.is_dir():
         found["public records"] = found_in_records(records)
     false = [text for _, told in found.values() for text in told]

@@ -69,6 +69,8 @@ def test_an_import_finds_the_columns(file: str, options: list[str], columns: set
 @pytest.mark.parametrize(("file", "status", "told"), [
     ("clock_text/openlog.csv", 2, "give --rate HZ"), ("clock_text/excel.csv", 2, "its times have 7 digits only"),
     ("torque_denormal/denormal.csv", 2, "'effort' holds no torque"),
+    ("no_time_message/no_time.csv", 2, "give its rate by --rate HZ"),
+    ("mat_only_objects/only_objects.mat", 2, "theta, phi_dot, i_m, u are MATLAB timeseries objects, which only MATLAB"),
     ("force_as_angle/force.csv", 1, "no name says which of them is the torque of which joint")])
 def test_an_import_asks_for_what_it_cannot_know(file: str, status: int, told: str, tmp_path: Path,
                                                 capsys: pytest.CaptureFixture[str]) -> None:
@@ -82,6 +84,49 @@ def test_one_column_is_read_by_a_map(tmp_path: Path) -> None:
     assert main(["import", str(folder / "swing.txt"), "--map", str(folder / "map.toml"), "--rate", "500", "--out",
                  str(tmp_path)]) == 0
     assert len(np.loadtxt(tmp_path / "swing.csv", delimiter=",", skiprows=1)) == 4000
+
+
+@pytest.mark.parametrize(("file", "map_of", "samples", "missing"), [
+    ("moves_said_still/whirl.csv", "hip_deg", 2000, 0), ("moves_said_still/small_then_large.csv", "angle_deg", 2000, 0),
+    ("moves_said_still/spin_up.csv", "angle_deg", 1600, 0), ("encoders_zero_for_moments/good.csv", "hip_deg", 2000, 0),
+    ("encoders_zero_for_moments/lost.csv", "hip_deg", 2000, 30)])
+def test_good_readings_stay(file: str, map_of: str, samples: int, missing: int, tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text(f'[columns.time_s]\nname = "time"\n[columns.q1_rad]\nname = "{map_of}"\n'
+                                     'unit = "deg"\n[columns.tau1_nm]\nname = "torque_nm"\n')
+    run = ["import", str(CASES / file), "--map", str(tmp_path / "m.toml"), "--out"]
+    assert main([*run, str(tmp_path / "runs")]) == 0 == main([*run, str(tmp_path / "as_read"), "--as-read"])
+    whole, used = (np.loadtxt(tmp_path / folder / Path(file).name, delimiter=",", skiprows=1)
+                   for folder in ("as_read", "runs"))
+    assert len(whole) == samples and samples - missing <= len(used) + (missing > 0) <= samples
+    steps = np.rint(100.0 * (used[:, 0] - whole[0, 0])).astype(int)
+    np.testing.assert_allclose(used[:, 1], whole[steps, 1], atol=1e-12)
+
+
+def test_a_swing_that_comes_to_rest_is_imported(tmp_path: Path) -> None:
+    assert main(["import", str(CASES / "swing_then_rest/swing.csv"), "--yes", "--out", str(tmp_path)]) == 0
+    assert len(np.loadtxt(tmp_path / "swing.csv", delimiter=",", skiprows=1)) == 280
+
+
+@pytest.mark.parametrize("rig", ["rig.toml", "rig_zero.toml"])
+@pytest.mark.parametrize("file", ["zero0.csv", "zero4.csv"])
+def test_a_free_swing_has_its_zero_estimated(file: str, rig: str, tmp_path: Path,
+                                            capsys: pytest.CaptureFixture[str]) -> None:
+    folder = CASES / "free_swing_zero_off"
+    assert main(["import", str(folder / file), "--map", str(folder / "map.toml"), "--out", str(tmp_path)]) == 0
+    assert main(["fit", str(tmp_path / file), "--rig", str(folder / rig), "--fix", "beta2=1", "--json",
+                 str(tmp_path / "f.json")]) == 0
+    found = json.loads((tmp_path / "f.json").read_text())["parameters"][0]
+    assert found["name"] == "beta1" and found["value"] == pytest.approx(1.258, rel=6e-3)
+    assert ("q1 hangs at 0.070 rad, not at 0" in capsys.readouterr().out) == (file == "zero4.csv" and rig == "rig.toml")
+
+
+@pytest.mark.parametrize("file", ["pendulum.csv", "two.csv", "without.csv"])
+def test_one_angle_in_several_columns_is_one_joint(file: str, tmp_path: Path,
+                                                  capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "c.toml"
+    assert main(["import", str(CASES / "same_angle_thrice" / file), "--guess", "--map", str(target)]) == 0
+    assert set(re.findall(r"\[columns\.(\w+)\]", target.read_text())) == {"time_s", "q1_rad", "tau1_nm"}
+    assert capsys.readouterr().err.count(" again (correlation") == {"pendulum.csv": 2, "two.csv": 1}.get(file, 0)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

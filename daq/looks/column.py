@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.dataset import FloatArray
 from daq.errors import InputError
 from daq.findings import ReadingFault
-from daq.looks.jumps import find_jumps, held_before, take_turns, unwrapped
+from daq.looks.jumps import find_jumps, take_turns, unwrapped
 from daq.looks.plateaus import flat_tops, frozen_noise, plateaus_of, repeats
 from daq.looks.standstill import stands_under_torque
 
@@ -41,6 +41,9 @@ class Look(NamedTuple):
     faults: tuple[ReadingFault, ...]
 
 
+_Kind = Callable[[str, FloatArray, FloatArray], "_Found"]
+
+
 class _Found(NamedTuple):
     x: FloatArray
     faults: list[ReadingFault]
@@ -48,11 +51,13 @@ class _Found(NamedTuple):
     """(n,) readings of which only a bound is known, or nothing for long."""
 
 
-def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a run") -> Look:
-    """Columns (n,) at `time_s` (n,) with their faults: angles unwrapped, wrong readings left out, steps of the zero
-    taken back. Columns that are no reading (commands, temperatures, a user's own) stay as they are.
+def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a run", as_read: bool = False) -> Look:
+    """Columns (n,) at `time_s` (n,) with their faults: angles unwrapped, wrong readings left out. Columns that are no
+    reading (commands, temperatures, a user's own) stay as they are; `as_read`, all do.
 
-    Raises `InputError` naming `where` for a column that holds two series in turn, or too many jumps.
+    A reading is innocent: a fault is what no motion of the mechanism makes, in units of the column's own resolution and
+    of what other columns say at that time. Nothing else is altered. Raises `InputError` naming `where` for a column
+    that holds two series in turn, or too many jumps, unless `as_read`.
     """
     out, left, faults = dict(columns), dict[str, NDArray[np.bool_]](), list[ReadingFault]()
     for name, values in columns.items():
@@ -60,7 +65,13 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
         kind = next((of for pattern, of in _KINDS if pattern.fullmatch(name)), None)
         if kind is None or known.size < 2:
             continue
-        found = kind(name, time_s[known], values[known], where)
+        try:
+            found = _at_own_rate(kind, name, time_s[known], values[known])
+        except InputError as error:
+            if not as_read:
+                raise InputError(f"{where}, column {name}", error.what, error.remedy) from None
+            faults.append(ReadingFault(name, "refused", (), 0.0, "kept", f"{name}: {error.what}"))
+            continue
         if not found.faults:
             continue
         faults += [_at_rows(fault, known) for fault in found.faults]
@@ -74,14 +85,19 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
         torque = next((one for one in (f"tau{joint[1]}_nm", f"tau{joint[1]}_n") if one in out), "") if joint else ""
         if torque:
             faults += _standstills(time_s, name, torque, out, left)
+    if as_read:
+        return Look(dict(columns), {}, tuple(replace(fault, done="kept") for fault in faults))
     return Look(out, left, tuple(faults))
 
 
 def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, FloatArray],
                  left: dict[str, NDArray[np.bool_]]) -> list[ReadingFault]:
-    """Standstills of an angle under its torque, which are then left out of `out`."""
-    known = np.flatnonzero(np.isfinite(out[name]) & np.isfinite(out[torque]))
-    places = stands_under_torque(time_s[known], out[name][known], out[torque][known]) if known.size > 1 else []
+    """Standstills of an angle under its torque, which are then left out of `out`. A drive may hold a joint against what
+    others do that move."""
+    others = [q for other, q in out.items() if ANGLE_OF_TORQUE.fullmatch(other)]
+    known = np.flatnonzero(np.isfinite([*others, out[torque]]).all(axis=0))
+    angles = [out[name][known], *(q[known] for q in others if q is not out[name])]
+    places = stands_under_torque(time_s[known], angles, out[torque][known]) if known.size > 1 else []
     if not places:
         return []
     still = np.zeros(out[name].size, bool)
@@ -90,7 +106,7 @@ def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, Floa
     out[name] = np.where(still, np.nan, out[name])
     left[name] = left.get(name, np.zeros(still.size, bool)) | still
     text = (f"{name} stands still in {{rows}}, though {torque} swings as where the joint moves: the joint is blocked, "
-            "or its encoder hangs. These samples are left out")
+            "or its encoder hangs")
     rows = tuple((int(known[start]), int(known[stop - 1])) for start, stop in places)
     return [_at_rows(ReadingFault(name, "standstill", rows, float(still.sum()), "left_out", text),
                      np.arange(still.size))]
@@ -103,8 +119,7 @@ def _moved(fault: ReadingFault, rows: NDArray[np.intp]) -> ReadingFault:
 
 def _at_rows(fault: ReadingFault, known: NDArray[np.intp]) -> ReadingFault:
     rows = tuple((int(known[a]) + 1, int(known[b]) + 1) for a, b in fault.rows)
-    return ReadingFault(fault.column, fault.what, rows, fault.size, fault.done,
-                        fault.text.format(row=rows[0][0], rows=_rows(rows)))
+    return replace(fault, rows=rows, text=fault.text.format(row=rows[0][0], rows=_rows(rows)))
 
 
 def _rows(places: Sequence[tuple[int, int]]) -> str:
@@ -126,15 +141,14 @@ def _unit(name: str) -> str:
     return {"nm": "N m", "n": "N", "radps": "rad/s", "mps2": "m/s2"}.get(unit, unit)
 
 
-def _look_at_torque(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+def _look_at_torque(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     """Torques that are no number of a device, and flat tops."""
     none = np.zeros(x.size, bool)
     tiny = (x != 0.0) & (np.abs(x) < DENORMAL)
     if tiny.any():
         rows = _places(tiny)
-        text = (f"{name} holds {int(tiny.sum())} readings below {DENORMAL:g}: memory that nobody wrote to, taken for "
-                "zero")
-        fault = ReadingFault(name, "denormal", rows, float(np.abs(x[tiny]).max()), "kept", text)
+        text = f"{name} holds {int(tiny.sum())} readings below {DENORMAL:g}: memory that nobody wrote to"
+        fault = ReadingFault(name, "denormal", rows, float(np.abs(x[tiny]).max()), "zeroed", text)
         return _Found(np.where(tiny, 0.0, x), [fault], none)
     return _clipped(name, x)
 
@@ -147,14 +161,14 @@ def _clipped(name: str, x: FloatArray) -> _Found:
     told = f"+-{levels[1]:.6g}" if len(levels) > 1 and levels[0] == -levels[1] else \
         " and ".join(f"{level:.6g}" for level in levels)
     text = (f"{name} stands at exactly {told} {_unit(name)} in {100.0 * at.mean():.2g} % of the samples (first in row "
-            "{row}): the end of a sensor's range, or a drive's limit. They and their neighbours are left out")
+            "{row}): the end of a sensor's range, or a drive's limit")
     fault = ReadingFault(name, "clipped", _places(at), max(map(abs, levels)), "left_out", text)
     # A neighbour is there only because its noise kept it below the limit: with it, estimates are biased low.
     near = np.convolve(at, np.ones(3))[1:-1] > 0.5
     return _Found(np.where(near, np.nan, x), [fault], near)
 
 
-def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     """Flat tops, and readings that repeat though the sensor's noise moves the last digit."""
     found = _clipped(name, x)
     held = np.zeros(x.size, bool)
@@ -163,58 +177,56 @@ def _look_at_imu(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _F
     held &= ~found.unknown
     if not held.any():
         return found
-    text = f"{name} repeats one reading in {{rows}}: the sensor hangs. These samples are left out"
+    text = f"{name} repeats one reading in {{rows}}: the sensor hangs"
     fault = ReadingFault(name, "frozen", _places(held), float(held.sum()), "left_out", text)
     return _Found(np.where(held, np.nan, found.x), [*found.faults, fault], found.unknown | held)
 
 
-def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+def _at_own_rate(kind: _Kind, name: str, time_s: FloatArray, x: FloatArray) -> _Found:
+    """What `kind` finds in the readings of an angle or an IMU, of which repeats are left out before."""
+    times = repeats(x) if kind is not _look_at_torque else 1
+    if times == 1:
+        return kind(name, time_s, x)
+    own = np.zeros(x.size, bool)
+    own[plateaus_of(x).start] = True
+    found, out, unknown = kind(name, time_s[own], x[own]), np.full(x.size, np.nan), np.zeros(x.size, bool)
+    out[own], unknown[own] = found.x, found.unknown
+    text = f"{name} repeats each reading {times} times: it is sampled more slowly"
+    return _Found(out, [ReadingFault(name, "repeated", _places(~own), float(times), "left_out", text), *(
+        _moved(fault, np.flatnonzero(own)) for fault in found.faults)], unknown)
+
+
+def _look_at_angle(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     """Two series in turn are refused; then wraps, frozen and isolated readings, and steps of the zero."""
     faults = list[ReadingFault]()
-    none = np.zeros(x.size, bool)
     wraps = unwrapped(x) if name.endswith("_rad") else None
     if wraps is not None:
         x, modulus, at = wraps
         text = (f"{name} jumps by {modulus:.4g} rad {at.size} time{'s' * (at.size > 1)} (first in row {{row}}): a "
-                "wrapped angle, unwrapped")
+                "wrapped angle")
         faults.append(ReadingFault(name, "wrapped", tuple((k, k) for k in at.tolist()), modulus, "unwrapped", text))
-    times = repeats(x)
-    if times > 1:
-        places = plateaus_of(x)
-        again = np.ones(x.size, bool)
-        again[places.start] = False
-        text = f"{name} repeats each reading {times} times: it is sampled more slowly. The repeats are left out"
-        faults.append(ReadingFault(name, "repeated", _places(again), float(times), "left_out", text))
-        found, out, unknown = _jumps(name, time_s[~again], x[~again], where), np.full(x.size, np.nan), none.copy()
-        out[~again], unknown[~again] = found.x, found.unknown
-        return _Found(out, [*faults, *(_moved(fault, np.flatnonzero(~again)) for fault in found.faults)], unknown)
     if take_turns(x):
-        raise InputError(f"{where}, column {name}", "two series take turns in it: neighbours are far apart, every "
-                         "other reading is near", "write each sender into a column of its own")
-    found = _jumps(name, time_s, x, where)
+        raise InputError("", "two series take turns in it: neighbours are far apart, every other reading is near",
+                         "write each sender into a column of its own")
+    found = _jumps(name, time_s, x)
     return _Found(found.x, [*faults, *found.faults], found.unknown)
 
 
-def _jumps(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
+def _jumps(name: str, time_s: FloatArray, x: FloatArray) -> _Found:
     period = float(np.median(np.diff(time_s)))
     pause = np.diff(time_s) > PAUSE_PERIODS * period
-    jumps = find_jumps(x, np.convolve(pause, np.ones(2 * AROUND_PAUSE + 1))[AROUND_PAUSE:][:pause.size] > 0.5)
+    around = np.convolve(pause, np.ones(2 * AROUND_PAUSE + 1))[AROUND_PAUSE:][:pause.size] > 0.5
+    jumps = find_jumps(x, around, period)
     if len(jumps.isolated) > MOST_ISOLATED * x.size or len(jumps.steps) > MOST_STEPS:
-        first = min([place for place, _ in (*jumps.isolated, *jumps.steps)])
-        raise InputError(f"{where}, column {name}", f"jumps {len(jumps.isolated) + len(jumps.steps)} times as no joint "
-                         f"can, first in row {first + 1}", "check the encoder and its cable, and that one device alone "
-                         "writes this column")
-    out, unit, faults, frozen = x.copy(), _unit(name), list[ReadingFault](), np.zeros(x.size, bool)
+        places = sorted(place for place, _ in (*jumps.isolated, *jumps.steps))
+        raise InputError("", f"jumps {len(places)} times as no joint can, in {_rows([(k + 1, k + 1) for k in places])}",
+                         "check the encoder and its cable, and that one device alone writes this column")
+    unit, faults = _unit(name), list[ReadingFault]()
     for first, size in jumps.steps:
-        start = held_before(x, first)
-        if start < first:
-            frozen[start + 1:first] = True
-            continue
-        out[first:] -= size
-        text = (f"{name} steps by {size:.3g} {unit} at {time_s[first]:.6g} s (row {{row}}): its zero has changed. The "
-                "angles behind it are moved back by that")
-        faults.append(ReadingFault(name, "stepped", ((first, first),), size, "joined", text))
-    off = np.zeros(x.size, bool)
+        text = (f"{name} steps by {size:.3g} {unit} at {time_s[first]:.6g} s (row {{row}}), and goes on as before: its "
+                "zero has changed, or samples are missing")
+        faults.append(ReadingFault(name, "stepped", ((first, first),), size, "kept", text, float(time_s[first])))
+    off, frozen = np.zeros(x.size, bool), np.zeros(x.size, bool)
     worst = 0.0
     for first, stop in jumps.isolated:
         off[first:stop] = True
@@ -222,14 +234,15 @@ def _jumps(name: str, time_s: FloatArray, x: FloatArray, where: str) -> _Found:
     if off.any():
         many = f"{int(off.sum())} readings by up to" if off.sum() > 1 else "one reading by"
         text = (f"{name} is off in {many} {worst:.3g} {unit} ({{rows}}): no joint moves there and back within "
-                f"{1e3 * period:.3g} ms. Left out")
+                f"{1e3 * period:.3g} ms")
         faults.append(ReadingFault(name, "isolated", _places(off), worst, "left_out", text))
+    for start, stop in jumps.frozen:
+        frozen[start:stop] = True
     if frozen.any():
-        text = f"{name} stands still in {{rows}}, and then jumps: the sensor hung. These samples are left out"
+        text = f"{name} stands still in {{rows}}, next to a jump: the sensor hung"
         faults.append(ReadingFault(name, "frozen", _places(frozen), float(frozen.sum()), "left_out", text))
-    out[off | frozen] = np.nan
-    return _Found(out, faults, frozen)
+    return _Found(np.where(off | frozen, np.nan, x), faults, frozen)
 
 
-_KINDS: tuple[tuple[re.Pattern[str], Callable[[str, FloatArray, FloatArray, str], _Found]], ...] = (
+_KINDS: tuple[tuple[re.Pattern[str], _Kind], ...] = (
     (ANGLE, _look_at_angle), (TORQUE, _look_at_torque), (IMU, _look_at_imu))

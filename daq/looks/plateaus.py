@@ -103,9 +103,12 @@ def repeats(x: FloatArray) -> int:
 
 
 def frozen_noise(x: FloatArray) -> list[tuple[int, int]]:
-    """[start, stop) of rows in which a noisy column repeats one reading: its sensor hangs."""
+    """[start, stop) of rows in which a noisy column repeats one reading other than 0: its sensor hangs.
+
+    A rate that was made from an angle is 0 at rest.
+    """
     places = plateaus_of(x)
-    long = places.length >= FROZEN_ROWS
+    long = (places.length >= FROZEN_ROWS) & (places.value != 0.0)
     others = x.size - int(places.length[long].sum())
     equal = int((places.length[~long] - 1).sum())
     between = int(((places.length >= USUAL_ROWS) & ~long).sum())

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq.dataset import FloatArray
-from daq.looks.plateaus import smallest_step
+from daq.looks.jumps import scale_of
 
-STILL_SHARE, STILL_STEPS = 0.01, 1.5
-"""An angle stands still where it stays within this share of its range, or within so many of its smallest steps."""
-LEAST_S, LEAST_ROWS = 0.3, 12
+STILL = 4.0
+"""An angle stands still where it stays within so many times its resolution."""
+LEAST_S, LEAST_ROWS = 1.0, 50
 """Shortest standstill that is looked at."""
 MOVING = 0.2
 """Share of the run, at least, in which the joint moves: else nothing says how far a torque moves it."""
@@ -18,15 +20,16 @@ INNER, OUTER = 0.05, 0.1
 second share of its samples, in both directions. Dry friction holds a joint against less than what moves it."""
 
 
-def stands_under_torque(time_s: FloatArray, q: FloatArray, tau: FloatArray) -> list[tuple[int, int]]:
-    """[start, stop) of the parts in which q (n,) stands still under a torque (n,) that moves it elsewhere."""
+def stands_under_torque(time_s: FloatArray, angles: Sequence[FloatArray], tau: FloatArray) -> list[tuple[int, int]]:
+    """[start, stop) of the parts in which all `angles` (n,) stand still, the first under a torque (n,) that moves it
+    elsewhere."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # a recording loads no mathematics
 
     window = max(LEAST_ROWS, round(LEAST_S / max(float(np.median(np.diff(time_s))), 1e-9)))
-    if q.size < 4 * window or np.ptp(q) == 0.0:
+    if tau.size < 4 * window or np.ptp(angles[0]) == 0.0:
         return []
-    level = max(STILL_SHARE * float(np.ptp(q)), STILL_STEPS * smallest_step(q))
-    still = maximum_filter1d(q, window) - minimum_filter1d(q, window) <= level
+    still = np.all([maximum_filter1d(q, window) - minimum_filter1d(q, window) <= STILL * scale_of(q).resolution
+                    for q in angles], axis=0)
     whole = maximum_filter1d(still.astype(np.int8), window) > 0
     if np.mean(~whole) < MOVING:
         return []

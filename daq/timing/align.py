@@ -35,7 +35,7 @@ from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
-from daq.timing.resample import TimedColumns, align_channels, flags_of_readings, own_rate, reached
+from daq.timing.resample import TimedColumns, align_channels, own_rate, reached
 
 RAIL = 32_767
 """Counts of 16 bits at the end of an axis's range."""
@@ -125,16 +125,15 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
         (sampled,) = (channel for channel in found.channels if "tau2_nm" in channel.columns)
         split = split_torque(sampled, *found.held)
     if split is None:
-        dataset = align_channels(raw.name, found.channels, rate)
+        dataset = align_channels(raw.name, found.channels, rate, rig.sampling.as_read)
     else:
         others = [channel for channel in found.channels if channel is not sampled]
-        dataset = align_channels(raw.name, [*others, split.commanded], rate)
+        dataset = align_channels(raw.name, [*others, split.commanded], rate, rig.sampling.as_read)
         torque = dataset.columns["tau2_nm"] + split.residual_on(dataset.time_s, 1.0 / rate)
-        seen = look(sampled.time_s, sampled.columns, raw.name)
+        seen = look(sampled.time_s, sampled.columns, raw.name, rig.sampling.as_read)
         if "tau2_nm" in seen.left_out:
             torque[reached(dataset.time_s, sampled.time_s, seen.left_out["tau2_nm"], 0.5 / rate)] = np.nan
         dataset = replace(dataset, columns={**dataset.columns, "tau2_nm": torque},
-                          flags=(*dataset.flags, *flags_of_readings(seen.faults)),
                           readings=(*dataset.readings, *seen.faults))
     if len(dataset) < MIN_SAMPLES:
         raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")

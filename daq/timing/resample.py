@@ -14,7 +14,7 @@ pause of a fast logger that is shorter than the grid's step hides nothing that t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -58,7 +58,7 @@ def own_rate(channels: Sequence[TimedColumns]) -> float:
     return float(f"{min(_rate(channel.time_s) for channel in channels):.3g}")
 
 
-def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
+def align_table(table: RawTable, rate_hz: float | None = None, as_read: bool = False) -> Dataset:
     """`table` on a uniform grid of `rate_hz`, by default, and where that is much finer, of its own rate.
 
     Samples that lie on such a grid already (within 1 % of a step) are taken as they are. Raises `InputError` where
@@ -76,7 +76,8 @@ def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
                 "grid is used; take rate_hz out of [sampling]")
     if rate_hz is None or text:
         rate_hz = own_rate([TimedColumns(table.time_s, columns)])
-    run = align_channels(table.name, [TimedColumns(snapped_times(table.time_s, rate_hz), columns)], rate_hz)
+    run = align_channels(table.name, [TimedColumns(snapped_times(table.time_s, rate_hz), columns)], rate_hz,
+                         as_read)
     if step_s * rate_hz * OVERSAMPLED <= 1.0:
         text = (f"has {found:.3g} samples a second, the grid {rate_hz:g}: they are averaged, and what moves faster is "
                 "lost; take rate_hz out of [sampling] to use all")
@@ -86,11 +87,11 @@ def align_table(table: RawTable, rate_hz: float | None = None) -> Dataset:
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 
 
-def align_channels(name: str, channels: list[TimedColumns], rate_hz: float) -> Dataset:
+def align_channels(name: str, channels: list[TimedColumns], rate_hz: float, as_read: bool = False) -> Dataset:
     """Channels, each at its own times, on one grid over the time that all of them cover.
 
-    Each column is looked at before (`daq.looks`), so that no filter spreads a wrong reading. Raises `InputError` when
-    the times span so much that the grid would be empty nearly everywhere, and as `look`.
+    Each column is looked at before (`daq.looks`, which takes `as_read`), so that no filter spreads a wrong reading.
+    Raises `InputError` when the times span so much that the grid would be empty nearly everywhere, and as `look`.
     """
     channels = [channel for channel in channels if channel.time_s.size]
     averaged = any(_rate(channel.time_s) >= OVERSAMPLED * rate_hz for channel in channels)
@@ -106,18 +107,13 @@ def align_channels(name: str, channels: list[TimedColumns], rate_hz: float) -> D
     columns: dict[str, FloatArray] = {}
     faults: list[ReadingFault] = []
     for channel in channels:
-        seen = look(channel.time_s, channel.columns, name)
+        seen = look(channel.time_s, channel.columns, name, as_read)
         faults += seen.faults
         for column, values in seen.columns.items():
             columns[column] = _on_grid(channel.time_s, values, grid, rate_hz, averaged)
             if column in seen.left_out:
                 columns[column][reached(grid, channel.time_s, seen.left_out[column], margin)] = np.nan
-    return Dataset(name, rate_hz, grid, columns, flags=flags_of_readings(faults), readings=tuple(faults))
-
-
-def flags_of_readings(faults: Iterable[ReadingFault]) -> tuple[Flag, ...]:
-    """A flag for each fault of the readings."""
-    return tuple(Flag("readings", str(fault)) for fault in faults)
+    return Dataset(name, rate_hz, grid, columns, readings=tuple(faults))
 
 
 def reached(grid: FloatArray, time_s: FloatArray, left_out: NDArray[np.bool_], half: float) -> NDArray[np.bool_]:

@@ -8,6 +8,8 @@ from .distance_meter import DistanceMeter as DistanceMeter
 from .distance_meter import angle_record as angle_record
 from .encoder_zeros import differing_text as differing_text
 from .encoder_zeros import find_differing as find_differing
+from .encoder_zeros import find_hanging as find_hanging
+from .encoder_zeros import find_wrong as find_wrong
 from .encoder_zeros import find_zeros as find_zeros
 from .encoder_zeros import subtract as subtract
 from .encoder_zeros import zeros_text as zeros_text
@@ -33,3 +35,4 @@ from .torque_constant import Holds as Holds
 from .torque_constant import TorqueConstant as TorqueConstant
 from .torque_constant import Weight as Weight
 from .torque_constant import fit_torque_constant as fit_torque_constant
+from .unexplained_start import unexplained_start as unexplained_start

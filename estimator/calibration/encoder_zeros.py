@@ -1,4 +1,4 @@
-"""Zeros of encoders that differ from run to run, such as of drives that count from where they were switched on.
+"""Zeros of encoders: where a joint that hangs reads another angle than 0, in all runs or in each another.
 
 A wrong zero adds d(Z beta)/dq times the zero to the torque of each run. Least squares of (28) estimates zeros and beta
 together; the zeros are subtracted before any fit.
@@ -33,6 +33,13 @@ LEAST_FALL = 0.1
 on two real arms; p < 1e-3 on 2 of 104 legs with other faults, with 2 % at most.)"""
 FEWEST_RUNS = 4
 """Of two or three, the halves agree by chance too often."""
+SHOWN_RAD, SURE = 0.01, 5.0
+"""Gravity shows a zero whose standard deviation is below the first. What runs have in common is taken off where it
+exceeds so many standard deviations, ..."""
+PARTS, AGREE = 4, 2.0
+"""... and so many times its largest departure in one of so many parts of the runs."""
+WRONG_RAD = 0.015
+"""A zero is taken off though nobody asked if it is beyond five times what one that is set by hand may be off."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,8 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
         return None
     from scipy.special import fdtrc
 
-    halves = [data.part(part) for data in datasets for part in (slice(0, len(data) // 2), slice(len(data) // 2, None))]
     try:
-        found = find_zeros(halves, mechanism, options, joints).values.reshape(len(datasets), 2, -1)
+        found = find_zeros(_parts(datasets, 2), mechanism, options, joints).values.reshape(len(datasets), 2, -1)
         between = 2.0 * np.var(found.mean(axis=1), axis=0, ddof=1)
         within = 0.5 * np.mean((found[:, 1] - found[:, 0]) ** 2, axis=0)
         p = fdtrc(len(datasets) - 1, len(datasets), between / np.maximum(within, 1e-300))
@@ -82,15 +88,61 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
         if not there.any():
             return None
         differ = [j for j, one in zip(joints, there) if one]
-        zeros = find_zeros(datasets, mechanism, options, differ)
-        before, after = (_residual_rms(runs, mechanism, options)
-                         for runs in (datasets, subtract(datasets, mechanism, zeros)))
+        left = _left(datasets, mechanism, options, find_zeros(datasets, mechanism, options, differ))
     except (FitError, np.linalg.LinAlgError):
         return None
-    left = after / np.maximum(before, 1e-300)
     if left.min() > 1.0 - LEAST_FALL:
         return None
     return Differing(tuple(differ), np.std(found.mean(axis=1)[:, there], axis=0, ddof=1), p[there], left)
+
+
+def find_hanging(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int]
+                 ) -> Zeros | None:
+    """Zeros of `joints` in each run, with what all runs have in common where all parts of them agree on that; None
+    where gravity does not show it."""
+    whole = _with_common(datasets, mechanism, options, joints)
+    parts = None if whole is None else _with_common(_parts(datasets, PARTS), mechanism, options, joints)
+    if whole is None or parts is None or whole.std.max() >= SHOWN_RAD:
+        return None
+    mean = whole.values.mean(axis=0)
+    apart = np.abs(parts.values.reshape(len(datasets), PARTS, -1).mean(axis=0) - mean).max(axis=0)
+    sure = np.abs(mean) > np.maximum(SURE * whole.std.max(axis=0), AGREE * apart)
+    return replace(whole, values=whole.values - np.where(sure, 0.0, mean))
+
+
+def _with_common(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int]
+                 ) -> Zeros | None:
+    try:
+        return find_zeros(datasets, mechanism, options, joints, common=True)
+    except (FitError, np.linalg.LinAlgError, ValueError):
+        return None
+
+
+def find_wrong(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions
+               ) -> tuple[Zeros, FloatArray] | None:
+    """Zeros of the joints that hang elsewhere than at 0, and the torque residual (n,) less these over that with them;
+    None for none."""
+    joints = list(options.encoders_of(mechanism.n))
+    zeros = find_hanging(datasets, mechanism, options, joints) if joints else None
+    wrong = [] if zeros is None else [j for j, zero in zip(joints, zeros.values.mean(axis=0)) if abs(zero) > WRONG_RAD]
+    zeros = find_hanging(datasets, mechanism, options, wrong) if wrong else None
+    if zeros is None:
+        return None
+    left = _left(datasets, mechanism, options, zeros)
+    return (zeros, left) if left.min() < 1.0 - LEAST_FALL and left.max() < 1.0 + LEAST_FALL else None
+
+
+def _parts(datasets: Sequence[Dataset], count: int) -> list[Dataset]:
+    """Each run in so many parts."""
+    return [data.part(slice(k * len(data) // count, (k + 1) * len(data) // count)) for data in datasets
+            for k in range(count)]
+
+
+def _left(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, zeros: Zeros) -> FloatArray:
+    """(n,) torque residual of slow least squares less the zeros, over that with them."""
+    before, after = (_residual_rms(runs, mechanism, options)
+                     for runs in (datasets, subtract(datasets, mechanism, zeros)))
+    return np.asarray(after / np.maximum(before, 1e-300))
 
 
 def differing_text(found: Differing, unit: str = "rad") -> str:
@@ -120,10 +172,11 @@ def _residual_rms(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
 
 
 def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int],
-               beta: FloatArray | None = None) -> Zeros:
+               beta: FloatArray | None = None, common: bool = False) -> Zeros:
     """Zeros of `joints` in each run: for a known `beta` (p,), or together with beta and with mean zero over the runs.
 
-    A zero common to all runs is the encoder's offset, which may have the same effect as a constant torque. Raises
+    What is `common` to all runs may have the same effect as a constant in a driven joint's torque, which is then
+    estimated, too: the standard deviations say whether gravity tells them apart. Raises
     `FitError` where a joint has no encoder on this path, or where the search does not converge.
     """
     runs = [split_signals([data], mechanism, options) for data in datasets]
@@ -135,25 +188,27 @@ def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     free, start = free_mask(mechanism, options)
     if beta is not None:
         free, start = np.zeros_like(free), beta
-    spread = np.eye(count) if beta is not None else _centred(count)
+    spread = np.eye(count) if common or beta is not None else _centred(count)
     values = np.zeros((count, width))
     if not spread.size:  # one run says nothing of a difference between runs
         return Zeros(tuple(joints), values, values)
     per_dof = max(1.0, 0.5 * runs[0][0].rate_hz / options.cutoff(runs[0][0].rate_hz))
     known, parts = start, width * spread.shape[1]
     for step in range(STEPS):
-        equations = [_equations(run, mechanism, options, known, joints, zero, own)
+        equations = [_equations(run, mechanism, options, known, joints, zero, own, common)
                      for run, zero, own in zip(runs, values, spread)]
         sought = step > 0 or beta is not None  # before beta is known, (Z beta) has no slope
-        mask = np.append(free, np.full(parts, sought))
+        constants = equations[0][0].shape[2] - start.size - parts
+        mask = np.concatenate([free, np.full(parts, sought), np.ones(constants, bool)])
         found, covariance, _ = weighted_least_squares(np.concatenate([z for z, _ in equations]),
                                                       np.concatenate([tau for _, tau in equations]), mask,
-                                                      np.append(start, np.zeros(parts)), per_dof)
+                                                      np.append(start, np.zeros(parts + constants)), per_dof)
         known = found[: start.size]
-        change = spread @ found[start.size :].reshape(width, -1).T
+        change = spread @ found[start.size : start.size + parts].reshape(width, -1).T
         values = values + change
         if sought and np.max(np.abs(change)) < CONVERGED_RAD:
-            own = covariance[start.size :, start.size :].reshape(width, spread.shape[1], width, -1)
+            inner = slice(start.size, start.size + parts)
+            own = covariance[inner, inner].reshape(width, spread.shape[1], width, -1)
             std = np.sqrt(np.einsum("rk,jkjl,rl->rj", spread, own, spread))
             if not std.all():  # directions that no equation knows of have neither step nor variance
                 break
@@ -162,11 +217,11 @@ def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
 
 
 def subtract(datasets: Sequence[Dataset], mechanism: Mechanism, zeros: Zeros) -> tuple[Dataset, ...]:
-    """The runs with their zeros taken off."""
+    """The runs with their zeros taken off, of angles and of their commands."""
     out = []
     for data, own in zip(datasets, zeros.values):
-        moved = {angle_column(mechanism, j): data[angle_column(mechanism, j)] - zero
-                 for j, zero in zip(zeros.joints, own)}
+        moved = {name: data[name] - zero for j, zero in zip(zeros.joints, own)
+                 for name in (angle_column(mechanism, j), f"q{j + 1}_cmd_rad") if name in data}
         out.append(replace(data, columns={**data.columns, **moved}))
     return tuple(out)
 
@@ -176,7 +231,8 @@ def zeros_text(datasets: Sequence[Dataset], zeros: Zeros) -> str:
     tables = [f"joint {j + 1}: " + ", ".join(f"{data.name} {1e3 * value:.1f} +- {1e3 * std:.1f}"
                                              for data, value, std in zip(datasets, own, spread))
               for j, own, spread in zip(zeros.joints, zeros.values.T, zeros.std.T)]
-    return f"encoders' zeros, another in every run, are taken off [1e-3 rad or m]; {'; '.join(tables)}"
+    every = ", another in every run," if len(datasets) > 1 else ""
+    return f"encoders' zeros{every} are taken off [1e-3 rad or m]; {'; '.join(tables)}"
 
 
 def _centred(count: int) -> FloatArray:
@@ -185,11 +241,13 @@ def _centred(count: int) -> FloatArray:
 
 
 def _equations(run: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, beta: FloatArray,
-               joints: Sequence[int], zero: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+               joints: Sequence[int], zero: FloatArray, own: FloatArray, common: bool) -> tuple[FloatArray, FloatArray]:
     """Filtered [Z, -d(Z beta)/dq own] (m, n, p + joints * k) and torque (m, n) of one run less its `zero`.
 
     A zero in excess by o makes the true angle the reading less o; `own` (k,) are the weights in it of what is sought.
+    Of what is `common` to runs, columns of constant torques of the driven joints follow.
     """
+    offsets = [j for j in mechanism.actuated if common and f"torque_offset_{j + 1}" not in mechanism.names]
     left, right = [], []
     for s in run:
         angles = s.angles.copy()
@@ -202,6 +260,7 @@ def _equations(run: Sequence[SignalSet], mechanism: Mechanism, options: FitOptio
             step = PROBE_RAD * np.eye(mechanism.n)[j]
             up, down = (mechanism.regressor(motion.q + way * step, motion.qd, motion.qdd) @ beta for way in (1.0, -1.0))
             columns.append((down - up)[:, :, None] / (2.0 * PROBE_RAD) * own)
+        columns.append(np.broadcast_to(np.eye(mechanism.n)[:, offsets], (len(angles), mechanism.n, len(offsets))))
         edge = min(len(angles) // 10, int(0.5 * s.rate_hz / cutoff))
         inner = slice(edge, len(angles) - edge)
         left.append(lowpass(np.concatenate(columns, axis=2), cutoff, s.rate_hz, options.filter_order)[inner])

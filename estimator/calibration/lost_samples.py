@@ -26,8 +26,8 @@ from estimator.signals import angle_column, imu_columns, torque_column
 
 ASKED = 0.025
 """Residual of slow least squares, as a share of the torque, above which lost samples are looked for."""
-MOST = 12
-"""Samples that are looked for in one place."""
+COUNTS = 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 25, 31, 38, 46
+"""Samples that are looked for in one place, then those between the neighbours of the best one."""
 BETTER, THAN_DELAYED = 1.5, 1.3
 """The mean square of the residual falls by so much, and is so much below that of a constant delay."""
 BLOCK_S, LEAST_BLOCKS = 0.25, 8
@@ -61,18 +61,24 @@ def find_lost(data: Dataset, mechanism: Mechanism, options: FitOptions) -> LostS
     still = _Rows(whole, mechanism, options)
     if still.blocks < 2 * LEAST_BLOCKS:
         return None
+    blocks = range(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
     best: tuple[float, LostSamples] | None = None
     for columns, group in _groups(mechanism, options):
-        moved = {count: _Rows(_moved(whole, group, count), mechanism, options) for count in range(-MOST, MOST + 1)
-                 if count}
-        for count, rows in moved.items():
-            blocks = range(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
-            gains = [still.left(still, k) / still.left(rows, k) for k in blocks]
-            block = LEAST_BLOCKS + int(np.argmax(gains))
-            delayed = min(one.left(one, block) for one in moved.values()) / still.left(rows, block)
-            if min(max(gains) / BETTER, delayed / THAN_DELAYED) > 1.0 and (best is None or max(gains) > best[0]):
-                place = still.row(rows, block)
-                best = max(gains), LostSamples(columns, min(place, len(data) - 1), count)
+        moved, places = dict[int, _Rows](), dict[int, tuple[float, int]]()
+        counts, fine = [sign * count for count in COUNTS for sign in (-1, 1)], 0
+        for _ in range(2):
+            for count in set(counts) - moved.keys():
+                moved[count] = rows = _Rows(_moved(whole, group, count), mechanism, options)
+                gains = [still.left(still, k) / still.left(rows, k) for k in blocks]
+                places[count] = max(gains), LEAST_BLOCKS + int(np.argmax(gains))
+            fine = max(places, key=lambda count: places[count][0])
+            counts = [count for count in range(-COUNTS[-1], COUNTS[-1]) if count * fine > 0 and
+                      0.7 * abs(fine) < abs(count) < 1.4 * abs(fine)]
+        gain, block = places[fine]
+        delayed = min(one.left(one, block) for one in moved.values()) / still.left(moved[fine], block)
+        if min(gain / BETTER, delayed / THAN_DELAYED) > 1.0 and (best is None or gain > best[0]):
+            place = still.row(moved[fine], block)
+            best = gain, LostSamples(columns, min(place, len(data) - 1), fine)
     return None if best is None else best[1]
 
 
@@ -160,4 +166,4 @@ def lost_text(lost: LostSamples, time_s: float) -> str:
     many = f"{abs(lost.samples)} samples" if abs(lost.samples) > 1 else "one sample"
     what = f"{'has' if len(lost.columns) == 1 else 'have'} {'lost ' + many if lost.samples > 0 else many + ' twice'}"
     return (f"{', '.join(lost.columns)} {what} against the other columns at about {time_s:.4g} s (row {lost.row + 1}): "
-            "the readings behind are moved back to their times")
+            "the readings behind go back to their times")

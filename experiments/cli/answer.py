@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+from msgspec import structs
 
 import legid
 from daq import InputError
@@ -20,6 +23,9 @@ def chosen_rig(args: argparse.Namespace, runs: Sequence[str]) -> ChosenRig:
     from experiments.rig import choose_rig
 
     chosen = choose_rig(args.rig, runs)
+    if getattr(args, "as_read", False):
+        sampling = structs.replace(chosen.rig.sampling, as_read=True)
+        chosen = replace(chosen, rig=structs.replace(chosen.rig, sampling=sampling))
     if chosen.note:
         note(chosen.note)
     return chosen

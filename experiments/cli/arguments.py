@@ -72,6 +72,8 @@ RIG = argument("--rig", help="the rig's TOML file; default: the one that a run h
 RIG_ALONE = argument("--rig", help="the rig's TOML file; default: ./rig.toml")
 DAMAGED = argument("--damaged", action="store_true",
                    help="use runs of whose files something is missing, too; the documents say which")
+AS_READ = argument("--as-read", action="store_true",
+                   help="alter and leave out no reading; what is wrong with them is told all the same")
 SENSORS = argument("--sensors", choices=("imu", "encoder"),
                    help="what gives the pivot's angle; default: imu where all runs have its columns")
 HORIZONS = argument(

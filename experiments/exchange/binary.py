@@ -21,6 +21,7 @@ OWN_FACTS = ("rate_hz", "clock_bound_s")
 def read_mat(path: Path) -> ImportedFile:
     """Vectors of a .mat file, called as in `tree`. Raises `InputError`, and what SciPy raises."""
     from scipy.io import loadmat
+    from scipy.io.matlab import varmats_from_mat
 
     try:
         with warnings.catch_warnings(record=True) as told:  # of names that occur twice: the last variable stays
@@ -28,26 +29,36 @@ def read_mat(path: Path) -> ImportedFile:
             content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:  # version 7.3
         return read_hdf5(path)
-    objects = {name: why for value in content.values() for name, why in _objects(value)}
+    twice = [found[1] for one in told if (found := re.search('Duplicate variable name "(.+?)"', str(one.message)))]
+    parts = [content]
+    if "None" in twice:  # all objects have one name
+        with path.open("rb") as file:
+            parts = [loadmat(part, simplify_cells=True) for _, part in varmats_from_mat(file)]  # type: ignore[arg-type]
+    objects = {name: kind for part in parts for value in part.values() for name, kind in _objects(value)}
     columns, left_out = columns_of({name: value for name, value in content.items()
                                     if not name.startswith("__") and not list(_objects(value))})
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
-    twice = [found[1] for one in told if (found := re.search('Duplicate variable name "(.+?)"', str(one.message)))]
-    return ImportedFile(path.name, by_length(columns), facts, left_out | objects, wrong=tuple(
-        Wrong("the first of two variables", name, "has the name of the second") for name in twice))
+    if objects and not columns:
+        first, kind = next(iter(objects.items()))
+        raise InputError(path.name, f"{', '.join(objects)} {'are' if len(objects) > 1 else 'is a'} MATLAB {kind} object"
+                         f"{'s' * (len(objects) > 1)}, which only MATLAB can read",
+                         f"save {first}.Time and {first}.Data, or struct({first})")
+    left_out |= {name: f"is a MATLAB {kind} object, which only MATLAB can read: save struct({name}) or {name}.Data "
+                 "instead" for name, kind in objects.items()}
+    return ImportedFile(path.name, by_length(columns), facts, left_out, wrong=tuple(
+        Wrong("the first of two variables", name, "has the name of the second") for name in twice if name != "None"))
 
 
 def _objects(value: object) -> Iterator[tuple[str, str]]:
-    """Name and reason of a variable that is a MATLAB object: SciPy gives its name, its class and no data."""
+    """Name and class of a variable that is a MATLAB object: SciPy gives no data of it."""
     from scipy.io.matlab import MatlabOpaque
 
     if isinstance(value, MatlabOpaque):
         for row in np.atleast_1d(value):
             name, kind = (str(row[field].decode() if isinstance(row[field], bytes) else row[field])
                           for field in ("s0", "s2"))
-            yield name, (f"is a MATLAB {kind} object, which only MATLAB can read: save struct({name}) or {name}.Data "
-                         "instead")
+            yield name, kind
 
 
 def _floats(values: np.ndarray) -> FloatArray | None:

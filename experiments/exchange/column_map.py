@@ -155,7 +155,8 @@ def identity(imported: ImportedFile) -> dict[str, Column]:
     return {name: Column(name=name) for name in imported.names if is_contract_column(name)}
 
 
-def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None = None) -> Dataset:
+def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None = None, as_read: bool = False
+              ) -> Dataset:
     """The file as a run, on a grid of `rate_hz` (default: that of its slowest signal).
 
     Columns that come at times of their own, or with delays of their own, are each put on the grid by the rule that
@@ -177,7 +178,7 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     channels, wrong, flags = _channels(imported, whole, rate_hz)
     if not channels:
         raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
-    run = align_channels(imported.name, channels, rate_hz or own_rate(channels))
+    run = align_channels(imported.name, channels, rate_hz or own_rate(channels), as_read)
     if len(run) < MIN_SAMPLES:
         raise InputError(imported.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")

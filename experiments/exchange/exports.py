@@ -32,7 +32,7 @@ def _parquet(data: Dataset) -> bytes:
     facts = {"legid.run": data.name, "legid.rate_hz": repr(data.rate_hz),
              "legid.clock_bound_s": repr(data.clock_bound_s), "file": data.name,
              **{f"legid.{what}": "; ".join(map(str, found)) for what, found in
-                (("damage", data.damage), ("doubts", data.flags)) if found}}
+                (("damage", data.damage), ("doubts", data.told)) if found}}
     out = BytesIO()
     parquet.write_table(table.replace_schema_metadata({str(k): str(v) for k, v in facts.items()}), out)
     return out.getvalue()

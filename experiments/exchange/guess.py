@@ -46,6 +46,7 @@ from experiments.exchange.guess_names import (
 )
 from experiments.exchange.guess_physics import Found
 from experiments.exchange.guess_result import Guess
+from experiments.exchange.guess_rivals import without_copies
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import chosen_joints, first_run
 from experiments.exchange.layouts import layout_warnings, stated
@@ -68,11 +69,13 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
     if rate_hz is not None:
         imported = _timed(imported, rate_hz)
     one, cell = first_run(imported)
-    guess = _guess_one(chosen_joints(one, joints) if joints else one, gravity_mps2)
+    one = chosen_joints(one, joints) if joints else one
+    one, copies = (one, []) if has(one, "gyro", "accel") else without_copies(one)
+    guess = _guess_one(one, gravity_mps2)
     columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
                for name, column in guess.columns.items()}
     return replace(guess, columns=columns,
-                   warnings=[*guess.warnings, *layout_warnings(one, guess.columns)])
+                   warnings=[*copies, *guess.warnings, *layout_warnings(one, guess.columns)])
 
 
 def _guess_one(imported: ImportedFile, gravity_mps2: float) -> Guess:

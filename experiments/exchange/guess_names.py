@@ -82,8 +82,9 @@ def lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inpu
                           'write the map by hand, name = "column 2" for the second: see docs/exchange.md')
     names = ", ".join(map(repr, imported.names[:20]))
     return InputError(imported.name, f"lacks {what} by the names of its columns: {names}",
-                      f"name it by a word such as {'; '.join(words.values())}, or write the map by hand, see "
-                      "docs/exchange.md")
+                      f"name it by a word such as {'; '.join(words.values())}, or " + (
+                          "give its rate by --rate HZ" if TIME in words else
+                          "write the map by hand, see docs/exchange.md"))
 
 
 def usable(values: FloatArray) -> NDArray[np.bool_]:
@@ -140,18 +141,19 @@ def time_column(imported: ImportedFile) -> tuple[Column, str]:
         known = np.flatnonzero(np.isfinite(values))
         wraps = unwrapped_counter(values[known], factor(unit_in_name(name, TIME), TIME, name))
         steps = np.diff(values[known] if wraps is None else wraps.time)
+        wrapped = "" if wraps is None else f"; it wraps by {wraps.modulus:.10g}, first in row {wraps.rows[0] + 1}"
         if known.size < 0.99 * values.size or (steps >= 0).mean() <= 0.99 or np.median(steps) <= 0:
             if _called_time(name):
                 useless.append(f"{name!r} {_not_a_clock(values if wraps is None else wraps.time)}")
             continue
         unit = unit_in_name(name, TIME)
         if unit:
-            return Column(name=name, unit=unit), f"by its name, which says {unit}"
+            return Column(name=name, unit=unit), f"by its name, which says {unit}{wrapped}"
         step = float(np.median(steps[steps > 0]))
         scales = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
         units = [unit for unit, scale in scales.items() if STEP_S[0] <= step * scale <= STEP_S[1]]
         if units and (_called_time(name) or step != 1.0):  # a count of rows has no unit
-            return Column(name=name, unit=units[0]), f"it increases, in steps of {step:g} {units[0] or 's'}"
+            return Column(name=name, unit=units[0]), f"it increases, in steps of {step:g} {units[0] or 's'}{wrapped}"
     if useless:
         remedy = next((after for start, after in TIME_REMEDIES.items() if any(start in one for one in useless)), "")
         raise InputError(imported.name, f"lacks a time: {', '.join(useless[:3])}",

@@ -1,16 +1,82 @@
-"""Columns that may be the knee's angle or its torque by their names: the equation of motion chooses."""
+"""Columns that may be one angle or torque by their names: copies show in their values, else the equation of motion
+chooses."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from daq import Column, Dataset, FloatArray
+from experiments.exchange.guess_names import measured_columns
 from experiments.exchange.guess_physics import Found, Pose, find_knee
+from experiments.exchange.imported import ImportedFile
 
 CLEARLY = 0.9
 """A rival leaves less than this share of what the likeliest name leaves: copies of one signal leave alike."""
+SAME, SLOPE, EXACT = 0.99, 0.02, 1.0 - 1e-9
+"""Two columns whose names are of one joint are one angle again if they correlate by more, with a slope of one within
+this share or a motor's ratio; whatever their names, if they do so exactly and no number tells them apart."""
+MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|filt|filtered|smooth|raw|wrapped"
+                       r"|unwrapped|unwrap|cont|meas|measured|actual|copy|enc|encoder|sim|rad|deg|motor|mot|rotor|load"
+                       r"|link")
+"""Words of a name that say how a column was made, and not of which joint it is."""
+MOTOR = re.compile(r"motor|mot|rotor")
+TURNS = 2.0 * np.pi, 360.0
 WHAT = {"q2_rad": "the knee's angle", "tau2_nm": "its torque"}
+
+
+def without_copies(imported: ImportedFile) -> tuple[ImportedFile, list[str]]:
+    """The file without angles that are another one again, by correlation and slope, and a line for each of these.
+
+    The one with the shortest name stays, and the link's side in place of the motor's.
+    """
+    names = sorted(measured_columns(imported, "q1", "q2"), key=lambda name: (
+        bool(MOTOR.search(name.lower())), len(re.findall(r"[a-z]+", name.lower()))))
+    kept, told = list[str](), dict[str, str]()
+    for name in names:
+        for own in kept:
+            slope, correlation = _line(imported.values(own), imported.values(name))
+            motor = bool(MOTOR.search(name.lower())) and _of_one_joint(own, name)
+            alike = any(abs(slope / scale - 1.0) < SLOPE for scale in (1.0, 180.0 / np.pi, np.pi / 180.0))
+            numbers = [re.findall(r"\d+", one) for one in (own, name)]
+            copy = correlation > EXACT and numbers[0] == numbers[1]
+            if copy or (correlation > SAME and (motor or (alike and _of_one_joint(own, name)))):
+                what = f"the motor's side of {own!r}, ratio {slope:.4g}" if motor and not alike else f"{own!r} again"
+                told[name] = f"{name!r} is {what} (correlation {correlation:.5f}, slope {slope:.4g}): left out"
+                break
+        else:
+            kept.append(name)
+    tables = [table._replace(columns={name: x for name, x in table.columns.items() if name not in told})
+              for table in imported.tables]
+    return replace(imported, tables=tuple(table for table in tables if table.columns)), list(told.values())
+
+
+def _of_one_joint(one: str, other: str) -> bool:
+    """Whether two names differ in words alone that say how a column was made."""
+    words = [set(re.findall(r"[a-z]+|\d+", name.lower())) for name in (one, other)]
+    return all(map(MADE_FROM.fullmatch, words[0] ^ words[1]))
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope of y (n,) over x (n,) and the size of their correlation; wraps by a turn are undone in both."""
+    if x.size != y.size:
+        return 0.0, 0.0
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = (_continued(values[known]) for values in (x, y))
+    if x.size < 3 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+        return 0.0, 0.0
+    correlation = float(np.corrcoef(x, y)[0, 1])
+    return correlation * float(np.std(y) / np.std(x)), abs(correlation)
+
+
+def _continued(x: FloatArray) -> FloatArray:
+    """x (n,) without wraps by a turn, in rad or degrees."""
+    span, jump = (float(np.max(values, initial=0.0)) for values in (x - x.min(initial=0.0), np.abs(np.diff(x))))
+    turn = next((turn for turn in TURNS if 0.7 * turn < jump <= span < 1.01 * turn), None)
+    return x if turn is None else np.unwrap(x, period=turn)
 
 
 def best_knee(raw: Dataset, columns: Mapping[str, Column],

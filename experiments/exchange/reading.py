@@ -120,7 +120,7 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     require_scales(columns, "the rig file")
     if csv and not applies(imported, columns):
         return _own(Path(path), rig, rate)
-    run = mapped(imported, columns, rate)
+    run = mapped(imported, columns, rate, rig.sampling.as_read)
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
         raise InputError(str(path), f"gives no {lacking.column}",
@@ -132,19 +132,19 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
 def _own(path: Path, rig: Rig, rate_hz: float | None) -> Dataset:
     """A run of legid's own two kinds."""
     if path.name.lower().endswith(SUFFIXES):
-        return align_table(read_csv(path, rig), rate_hz)
+        return align_table(read_csv(path, rig), rate_hz, rig.sampling.as_read)
     from daq.runs import read_run  # MCAP and clocks take a while to load
     from daq.timing import align
 
     return align(read_run(path), rig, rate_hz)
 
 
-def mapped(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None) -> Dataset:
+def mapped(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None, as_read: bool = False) -> Dataset:
     """`imported` as a run by a map, or as what `legid export` wrote where the map does not speak of its columns."""
     if columns and applies(imported, columns):
-        return apply_map(imported, columns, rate_hz)
+        return apply_map(imported, columns, rate_hz, as_read)
     own = {name: column for name, column in OWN_TOPICS.items() if column.name in imported.names}
-    run = own_export(imported, rate_hz) or apply_map(imported, own or identity(imported), rate_hz)
+    run = own_export(imported, rate_hz) or apply_map(imported, own or identity(imported), rate_hz, as_read)
     if own and CLOCK_BOUND in imported.names:
         return replace(run, clock_bound_s=float(imported.values(CLOCK_BOUND)[0]))
     return run

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from daq import Dataset, Rig
 from estimator import FitError
-from estimator.calibration import find_differing, needed_terms
+from estimator.calibration import find_differing, find_wrong, needed_terms
 from estimator.model import settings_of
 from estimator.prediction import filtered_motion
 from estimator.signals import split_signals
@@ -112,7 +112,14 @@ def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
 def _zeros(setup: Setup) -> list[Choice]:
     found = find_differing(setup.datasets, setup.mechanism, setup.options)
     if found is None:
-        return []
+        wrong = find_wrong(setup.datasets, setup.mechanism, setup.options)
+        if wrong is None:
+            return []
+        zeros, left = wrong
+        hang = " and ".join(f"q{j + 1} hangs at {zero:.3f} {setup.mechanism.length_unit}, not at 0"
+                            for j, zero in zip(zeros.joints, zeros.values.mean(axis=0)))
+        return [Choice("terms", "encoder_zero", tuple(j + 1 for j in zeros.joints), hang,
+                       f"with it {' and '.join(f'{100 * x:.0f} %' for x in left)} of slow torque's residual is left")]
     spread = " and ".join(f"{1e3 * s:.0f} mrad (p = {p:.1g})" for s, p in zip(found.spread, found.p_value))
     return [Choice("terms", "encoder_zero", tuple(j + 1 for j in found.joints),
                    f"zeros that differ from run to run by {spread}",

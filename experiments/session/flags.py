@@ -29,7 +29,7 @@ class RunFlag:
 def flags_of(datasets: Sequence[Dataset], rig: Rig) -> tuple[RunFlag, ...]:
     """Flags of every run, in order: its own, then the entries of its rig file that `rig` contradicts."""
     return tuple(RunFlag(data.name, flag) for data in datasets
-                 for flag in (*data.flags, *_contradictions(data, rig)))
+                 for flag in (*data.told, *_contradictions(data, rig)))
 
 
 def contradictions(flags: Iterable[RunFlag]) -> list[str]:

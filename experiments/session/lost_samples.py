@@ -1,4 +1,4 @@
-"""Runs in which one sensor has lost or doubled samples: its readings behind the place are moved back to their times."""
+"""Readings that the motion shows to be wrong: of a sensor that lost or doubled samples, and of a start with a hand."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import Dataset, Flag, ReadingFault
+from daq import Dataset, ReadingFault
 from estimator import FitError, FitOptions
-from estimator.calibration import find_lost, lost_text, without_loss
+from estimator.calibration import find_lost, lost_text, unexplained_start, without_loss
 from estimator.model import Mechanism
 from estimator.signals import is_plain
 
@@ -29,6 +29,26 @@ def with_lost_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options
                  for data in datasets)
 
 
+def without_starts(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[Dataset, ...]:
+    """The runs without starts that the mechanism cannot explain."""
+    return tuple(_without_start(data, mechanism, options) for data in datasets)
+
+
+def _without_start(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Dataset:
+    try:
+        with np.errstate(all="ignore"):
+            count = unexplained_start(data, mechanism, options)
+    except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it
+        return data
+    if not count:
+        return data
+    text = (f"the first {count / data.rate_hz:.2g} s (rows 1 to {count}) are no motion of the mechanism alone: a hand "
+            "or a brake holds it, or a loop switches on")
+    late = np.arange(len(data)) >= count
+    return replace(data, columns={name: np.where(late, x, np.nan) for name, x in data.columns.items()}, readings=(
+        *data.readings, ReadingFault("every column", "start", ((1, count),), count / data.rate_hz, "left_out", text)))
+
+
 def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Dataset:
     for _ in range(MOST_PLACES):
         try:
@@ -42,6 +62,5 @@ def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Data
         row = lost.row + 1
         faults = tuple(ReadingFault(column, "lost", ((row, row),), float(lost.samples), "joined", text)
                        for column in lost.columns)
-        data = replace(without_loss(data, lost), flags=(*data.flags, Flag("readings", text)),
-                       readings=(*data.readings, *faults))
+        data = replace(without_loss(data, lost), readings=(*data.readings, *faults))
     return data

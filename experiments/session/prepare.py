@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msgspec import structs
@@ -12,7 +12,7 @@ from daq import Dataset, FloatArray, Rig
 from experiments.session.choices import Choice, choose_terms, with_choices
 from experiments.session.flags import RunFlag, flags_of
 from experiments.session.inputs import driven
-from experiments.session.lost_samples import with_lost_samples
+from experiments.session.lost_samples import with_lost_samples, without_starts
 from experiments.session.runs import load_runs
 from experiments.session.setup import Setup, setup_of
 from experiments.session.step_zeros import with_step_zeros
@@ -59,8 +59,11 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     datasets = as_datasets(runs, rig, damaged)
     bare = setup_of(datasets, unzeroed(rig), sensors, fixed)
     known_zeros = with_step_zeros(bare.datasets, bare.mechanism, bare.options)
-    in_time = with_lost_samples(known_zeros, bare.mechanism, bare.options)
+    in_time = without_starts(with_lost_samples(known_zeros, bare.mechanism, bare.options), bare.mechanism, bare.options)
     kept, gone = usable_runs(in_time, bare.mechanism, bare.options)
+    if rig.sampling.as_read:
+        kept, gone = tuple(replace(data, readings=tuple(replace(fault, done="kept") for fault in told.readings))
+                           for data, told in zip(bare.datasets, in_time, strict=True)), ()
     choices = choose_terms(kept, rig, sensors, fixed) if choose else ()
     known = with_choices(rig, choices)
     return Prepared(setup_of(kept, known, sensors, fixed, latent, beta), known, gone, choices,

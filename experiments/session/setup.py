@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from daq import Dataset, Disturbance, InputError, Rig, did_you_mean, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
-from estimator.calibration import find_zeros, subtract, zeros_text
-from estimator.effects import VelocityFilter
+from estimator.calibration import find_hanging, find_zeros, subtract, zeros_text
+from estimator.effects import EncoderOffset, VelocityFilter
 from estimator.fitting import has_torque
 from estimator.model import HELD, HOLDS, Mechanism, body_values, ticks_of
 from estimator.score import ONLY, STRUCTURE, TORQUE_GAIN, default_tolerances
@@ -21,6 +21,8 @@ from experiments.models import MechanismSettings, build_mechanism, mechanism_set
 
 SMOOTH = "smooth"
 """Hold of a torque that a loop makes of command and angle, which is known between samples, too."""
+HIDDEN = ("gravity does not show where the joints of encoder_zero hang: measure that, and write it as offset under "
+          "[columns], or let them swing freely")
 FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
 
 
@@ -111,12 +113,24 @@ def hold_of(ticks: float) -> str:
 
 
 def zeroed(setup: Setup, beta: NDArray[np.float64] | None = None) -> Setup:
-    """`setup` less the encoders' zeros that its options declare to differ from run to run; see `find_zeros`."""
+    """`setup` less the encoders' zeros that its options declare to be unknown; see `find_zeros`.
+
+    Where neither a model nor gravity shows what is common to all runs, their differences are taken off.
+    """
     joints = setup.options.encoder_zeros
     known = beta if beta is not None and len(beta) == setup.mechanism.p else None
-    if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
+    if not joints:
         return setup
-    zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
+    zeros = find_hanging(setup.datasets, setup.mechanism, setup.options, joints) if known is None else None
+    if zeros is None and known is None:
+        setup = replace(setup, notes=(*setup.notes, HIDDEN))
+        if len(setup.datasets) == 1:
+            return setup
+    elif zeros is not None and setup.tolerances is not None:  # what is known no better than that
+        own = {f"{EncoderOffset.name}@{j + 1}": (float(std),) for j, std in zip(joints, zeros.std.max(axis=0))
+               if std > default_tolerances()[EncoderOffset.name][0]}
+        setup = replace(setup, tolerances={**own, **setup.tolerances})
+    zeros = zeros or find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
     return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
                    notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
 

@@ -9,6 +9,7 @@ from daq import InputError
 from estimator import METHODS
 from experiments.cli.answer import answer, chosen_rig, given_runs
 from experiments.cli.arguments import (
+    AS_READ,
     DAMAGED,
     FIX,
     FORCE,
@@ -26,7 +27,7 @@ COMMAND = Command(
     "fit", "identify parameters from runs",
     "Identify the parameters of the rig's mechanism from one or more runs and print them with their 95 % intervals. "
     "Exit status 1 when the fit did not converge (JSON is written all the same).", (
-        RUNS, RIG, DAMAGED,
+        RUNS, RIG, DAMAGED, AS_READ,
         argument("--method", choices=METHODS, default="mle",
                  help="mle: maximum likelihood (default); wls: weighted least squares; rls, hekf: recursive"),
         SENSORS,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import legid
 from daq import InputError, WorkError
 from experiments import exchange, reports
-from experiments.cli.arguments import FORCE, numbers
+from experiments.cli.arguments import AS_READ, FORCE, numbers
 from experiments.cli.command import Command, argument
 from experiments.console import make_directory, printable, text_table, warn
 
@@ -40,7 +40,7 @@ COMMAND = Command(
                  help="write a map guessed from the first file, and a page next to it"),
         argument("--out", metavar="DIR", default=".", help="where the runs go; default: here"),
         argument("--yes", action="store_true", help="import by a guessed map without asking"),
-        FORCE,
+        FORCE, AS_READ,
         argument("--rate", metavar="HZ", type=float,
                  help="samples per second, which a file without times needs; default: the slowest signal's"),
         argument("--joints", metavar="A,B", type=lambda text: tuple(filter(None, text.split(","))), default=(),
@@ -78,10 +78,10 @@ def run(args: argparse.Namespace) -> int:
                 written = target.with_name(f"{target.stem}{ending}.csv")
                 if written.resolve() in given:
                     raise InputError(str(written), "exists already", "give another directory with --out")
-                data = _cut(exchange.apply_map(imported, own, args.rate), args.span)
+                data = _cut(exchange.apply_map(imported, own, args.rate, args.as_read), args.span)
                 rows = write_csv(data, written, replace=args.force)
                 print(f"{written}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
-                for flag in data.flags:
+                for flag in data.told:
                     warn(f"{file} {flag}")
         except InputError as error:
             if len(args.files) == 1:

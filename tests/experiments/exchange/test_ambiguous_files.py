@@ -98,7 +98,7 @@ def test_a_wrapped_angle_is_unwrapped_before_the_guess(tmp_path: Path, capsys: p
     file = table(tmp_path / "x.csv", t=t, angle_deg=np.degrees(q) % 360.0, torque=tau)
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
     assert main(["import", str(file), "--map", str(tmp_path / "c.toml"), "--out", str(tmp_path / "out")]) == 0
-    assert "a wrapped angle, unwrapped" in capsys.readouterr().err
+    assert "a wrapped angle. Unwrapped" in capsys.readouterr().err
     run = np.loadtxt(tmp_path / "out" / "x.csv", delimiter=",", skiprows=1)
     assert np.ptp(run[:, 1] - q) < 1e-6
 

@@ -8,9 +8,12 @@ import pytest
 
 from daq import Dataset, FloatArray
 from daq.rig import parse_rig
+from daq.runs.csv_run import RawTable
+from daq.timing.resample import align_table
 from experiments.cli import main
 from experiments.session.lost_samples import with_lost_samples
 from experiments.session.setup import setup_of
+from experiments.workflows import fit_runs
 from tests.support.driven_pendulum import pendulum_run
 from tests.support.mujoco_leg import Leg, record
 
@@ -83,3 +86,24 @@ def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, capsys: pytes
     assert "against the other columns at about" in said
     beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])
     assert beta1 == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize(("columns", "count"), [(("q2_rad",), 17), (("q2_rad",), 29), (("tau2_nm",), -14)])
+def test_many_lost_samples_are_named_and_not_the_motion(columns: tuple[str, ...], count: int) -> None:
+    right, wrong = leg(4, ENCODERS, columns, 1000, count)
+    faults = corrected(wrong, ENCODERS).readings
+    assert {fault.what for fault in faults} == {"lost"} and abs(faults[0].size) == abs(count)
+    assert abs(faults[0].rows[0][0] - 1000) < 50 and corrected(right, ENCODERS).readings == ()
+
+
+@pytest.mark.parametrize(("times", "seed"), [(2, 3), (4, 4), (6, 5)])
+def test_an_imu_that_repeats_its_readings_is_named(times: int, seed: int) -> None:
+    """Noise levels that the rig file declares made it a lack of excitation."""
+    right, _ = leg(seed, IMU)
+    slow = {name: x[::times].repeat(times)[:len(right)] for name, x in right.columns.items() if name in GYRO}
+    run = align_table(RawTable("r", right.time_s, {**right.columns, **slow}), right.rate_hz)
+    assert {(fault.column, fault.what, fault.size) for fault in run.readings} == {
+        (name, "repeated", times) for name in GYRO}
+    declared = IMU + "[noise]\ngyro_radps = 0.005\naccel_mps2 = 0.05\ntorque_nm = 0.02\nencoder_rad = 4e-4\n"
+    found, wanted = (fit_runs([one], parse_rig(declared), method="wls").result.beta[:5] for one in (run, right))
+    np.testing.assert_allclose(found, wanted, rtol=0.1)

@@ -22,7 +22,7 @@ def test_the_part_whose_zero_explains_the_torque_is_kept(first: int, zero: float
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n[sampling]\nrate_hz = 50.0\n')
     (found,) = prepare([tmp_path / "r.csv"], load_rig(tmp_path / "rig.toml")).setup.datasets
     np.testing.assert_allclose(found["q1_rad"], run["q1_rad"], atol=0.02)
-    assert any("its zero has changed" in str(flag) for flag in found.flags)
+    assert any("its zero has changed" in str(flag) for flag in found.told)
 
 
 def test_a_clipped_torque_is_told_in_every_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

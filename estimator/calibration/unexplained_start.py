@@ -1,0 +1,62 @@
+"""The start of a record in which the mechanism is not alone: a hand that holds it, a brake, a loop that switches on.
+
+What the model cannot do there tells: the equation of motion, fitted to what follows, explains that, and at the start it
+leaves most of the torques.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import Dataset
+from estimator.calibration.column_faults import filtered_motion, nothing_changed, slow_rows
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+
+BLOCK_S = 0.25
+MOST = 0.5
+"""Share of the record that a start is, at most."""
+STRANGE, MOSTLY, EXPLAINED = 0.25, 0.5, 0.02
+"""Mean square of the residual, as a share of that of all terms, in more than the second share of the blocks of such a
+start at least, and in the blocks behind it at most."""
+BEHIND = 4
+"""Blocks behind it that are asked, in which the terms have to be"""
+ALIKE = 0.2
+"""this share of those of the start: of small motion nothing follows for large motion."""
+FRICTION = 2.0
+"""Dry friction holds a joint against so many times what it has in motion."""
+
+
+def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) -> int:
+    """Samples at the start of the record that the mechanism cannot explain; 0 for none.
+
+    Raises `FitError` for a record without a segment.
+    """
+    motion = filtered_motion([data], mechanism, options).thinned()
+    slow = slow_rows(motion, mechanism, options, nothing_changed(mechanism.n))
+    if mechanism.exchanged or not slow.parts:
+        return 0
+    first, rows = slow.parts[0]
+    length = max(1, round(BLOCK_S * motion.rate_hz))
+    count = len(rows) // length
+    parts = rows[: count * length].reshape(count, length, *rows.shape[1:])
+    grams = np.einsum("klna,klnb->kab", parts, parts)
+    squares = np.einsum("klna->ka", parts**2)
+    names = np.append([p.term for p in mechanism.parameters], ["offset"] * (slow.free.size - mechanism.p))
+    dry = np.flatnonzero(names[slow.free] == "coulomb")
+    thin = round(len(data) / max(len(motion.q), 1))
+    for k in range(2, int(MOST * count)):
+        behind = slice(k, None)
+        gram = grams[behind].sum(axis=0)
+        scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
+        ridge = 1e-12 * np.eye(len(scale))
+        x = np.append(np.linalg.solve(gram[:-1, :-1] / np.outer(scale, scale) + ridge, gram[:-1, -1] / scale) / scale,
+                      -1.0)
+        left, terms = np.einsum("kab,a,b->k", grams, x, x), squares @ x**2
+        held = FRICTION**2 * length * float(np.sum(x[dry] ** 2))
+        start, after = slice(0, k - 1), slice(k, k + BEHIND)
+        if (np.mean(left[start] > np.maximum(STRANGE * terms[start], held)) > MOSTLY
+                and left[after].sum() < EXPLAINED * terms[after].sum()
+                and terms[after].mean() > ALIKE * terms[start].mean()):
+            return (first + k * length) * thin
+    return 0
