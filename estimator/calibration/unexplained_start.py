@@ -17,8 +17,9 @@ BLOCK_S = 0.25
 MOST = 0.5
 """Share of the record that a start is, at most."""
 STRANGE, MOSTLY, EXPLAINED = 0.25, 0.5, 0.02
-"""Mean square of the residual, as a share of that of all terms, in more than the second share of the blocks of such a
-start at least, and in the blocks behind it at most."""
+"""Least mean square of the residual, as a share of that of all terms, in a start that no term explains.
+
+It holds for more than the second share of the start's blocks. The third share is the most in the blocks behind it."""
 BEHIND = 4
 """Blocks behind it that are asked, in which the terms have to be"""
 ALIKE = 0.2

@@ -17,8 +17,10 @@ from experiments.exchange.imported import ImportedFile
 CLEARLY = 0.9
 """A rival leaves less than this share of what the likeliest name leaves: copies of one signal leave alike."""
 SAME, SLOPE, EXACT = 0.99, 0.02, 1.0 - 1e-9
-"""Two columns whose names are of one joint are one angle again if they correlate by more, with a slope of one within
-this share or a motor's ratio; whatever their names, if they do so exactly and no number tells them apart."""
+"""Least correlation of two columns of one angle, how far their slope may be from one, and an exact correlation.
+
+A slope may be a motor's ratio, too. The names are of one joint, or the correlation is exact and no number tells them
+apart."""
 MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|filt|filtered|smooth|raw|wrapped"
                        r"|unwrapped|unwrap|cont|meas|measured|actual|copy|enc|encoder|sim|rad|deg|motor|mot|rotor|load"
                        r"|link")
