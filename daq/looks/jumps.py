@@ -56,7 +56,7 @@ class Jumps(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """What is a small and what a usual change of a column."""
+    """Resolution and usual changes of a column."""
 
     resolution: float
     """The step of its values, or its noise where that is larger"""
@@ -67,7 +67,7 @@ class Scale(NamedTuple):
 
 
 def scale_of(x: FloatArray) -> Scale:
-    """Of x (n,). Rest leaves it as it is, and one large motion, too: each part is taken where the column moves."""
+    """Scale of x (n,), taken where the column moves: neither rest nor one large motion changes it."""
     steps = np.abs(np.diff(x))
     changes = np.abs(np.diff(x, 2))
     values = np.unique(x)
