@@ -154,7 +154,8 @@ def _over_isolated(y: FloatArray, x: FloatArray, limits: _Limits, usual: float) 
             continue
         own = 0.5 * (y[last] - y[last - 1] + y[behind + 1] - y[behind])
         jump = y[behind] - y[last] - own * (behind - last)
-        if not limits.wraps(jump, x[last], x[behind]):
+        if not limits.wraps(jump, x[last], x[behind]) or (
+                abs(abs(jump) - limits.modulus) > 2.0 * NEAR_TURN * limits.modulus):
             continue
         out[behind:] -= np.sign(jump) * limits.modulus
         line = np.linspace(out[last], out[behind], behind - last + 1)[1:-1]
