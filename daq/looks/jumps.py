@@ -67,7 +67,7 @@ class Scale(NamedTuple):
 
 
 def scale_of(x: FloatArray) -> Scale:
-    """Scale of x (n,), where it moves: neither rest nor one large motion changes it."""
+    """Scale of x (n,), taken where the column moves: neither rest nor one large motion changes it."""
     steps = np.abs(np.diff(x))
     changes = np.abs(np.diff(x, 2))
     values = np.unique(x)
@@ -154,7 +154,8 @@ def _over_isolated(y: FloatArray, x: FloatArray, limits: _Limits, usual: float) 
             continue
         own = 0.5 * (y[last] - y[last - 1] + y[behind + 1] - y[behind])
         jump = y[behind] - y[last] - own * (behind - last)
-        if not limits.wraps(jump, x[last], x[behind]):
+        if not limits.wraps(jump, x[last], x[behind]) or (
+                abs(abs(jump) - limits.modulus) > 2.0 * NEAR_TURN * limits.modulus):
             continue
         out[behind:] -= np.sign(jump) * limits.modulus
         line = np.linspace(out[last], out[behind], behind - last + 1)[1:-1]

@@ -17,9 +17,8 @@ BLOCK_S = 0.25
 MOST = 0.5
 """Share of the record that a start is, at most."""
 STRANGE, MOSTLY, EXPLAINED = 0.25, 0.5, 0.02
-"""Least mean square of the residual, as a share of that of all terms, in a start that no term explains.
-
-It holds for more than the second share of the start's blocks. The third share is the most in the blocks behind it."""
+"""The residual's mean square as a share of that of all terms: such a start has more than the first in more than the
+second share of its blocks. The blocks behind it have less than the third."""
 BEHIND = 4
 """Blocks behind it that are asked, in which the terms have to be"""
 ALIKE = 0.2

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msgspec import structs
-
 import legid
 from daq import InputError
 from experiments.console import note
@@ -24,6 +22,8 @@ def chosen_rig(args: argparse.Namespace, runs: Sequence[str]) -> ChosenRig:
 
     chosen = choose_rig(args.rig, runs)
     if getattr(args, "as_read", False):
+        from msgspec import structs  # --help loads none
+
         sampling = structs.replace(chosen.rig.sampling, as_read=True)
         chosen = replace(chosen, rig=structs.replace(chosen.rig, sampling=sampling))
     if chosen.note:

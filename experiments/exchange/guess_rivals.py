@@ -17,10 +17,8 @@ from experiments.exchange.imported import ImportedFile
 CLEARLY = 0.9
 """A rival leaves less than this share of what the likeliest name leaves: copies of one signal leave alike."""
 SAME, SLOPE, EXACT = 0.99, 0.02, 1.0 - 1e-9
-"""Least correlation of two columns of one angle, how far their slope may be from one, and an exact correlation.
-
-A slope may be a motor's ratio, too. The names are of one joint, or the correlation is exact and no number tells them
-apart."""
+"""Two columns are one angle again if their names are of one joint and they correlate by more than the first. Their
+slope is one within the second share, or a motor's ratio. Exact copies may have any names without other numbers."""
 MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|filt|filtered|smooth|raw|wrapped"
                        r"|unwrapped|unwrap|cont|meas|measured|actual|copy|enc|encoder|sim|rad|deg|motor|mot|rotor|load"
                        r"|link")

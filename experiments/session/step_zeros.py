@@ -13,9 +13,8 @@ from estimator.calibration import as_it_is
 from estimator.model import Mechanism
 
 BETTER = 1.2
-"""A zero has changed where slow least squares leaves so many times less without the steps.
-
-The part behind them has the right zero where it then leaves so many times less again."""
+"""A zero has changed where slow least squares leaves so many times less without the steps. The part behind them has
+the right one where it leaves so many times less again."""
 
 
 def with_step_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[Dataset, ...]:
