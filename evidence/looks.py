@@ -312,7 +312,7 @@ EVIDENCE = (
     Evidence("Is a fit of runs with two kinds of faulty readings ever trusted wrongly?",
              "python -m evidence looks", "looks.md", 10, "never",
              (r"(Pairs trusted wrongly: \d+ of \d+) fits",)),
-    Evidence("Do looks find nothing in files of other people's joints?", "legid import FILE --guess --map MAP",
+    Evidence("Do looks find nothing in files of other people's joints?", "python -m evidence looks",
              "real-files.md", 25, "none that alters a reading, at most 3 that only speak",
              (r"(alter a reading: \d+ of \d+) files", r"(only speak: \d+)"), resumes="by hand"))
 main = program(page)
