@@ -33,7 +33,8 @@ def read_mat(path: Path) -> ImportedFile:
     parts = [content]
     if "None" in twice:  # all objects have one name
         with path.open("rb") as file:
-            parts = [loadmat(part, simplify_cells=True) for _, part in varmats_from_mat(file)]
+            parts = [loadmat(part, simplify_cells=True)  # type: ignore[arg-type]  # its stubs know paths only
+                     for _, part in varmats_from_mat(file)]
     objects = {name: kind for part in parts for value in part.values() for name, kind in _objects(value)}
     columns, left_out = columns_of({name: value for name, value in content.items()
                                     if not name.startswith("__") and not list(_objects(value))})

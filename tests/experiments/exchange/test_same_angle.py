@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +37,10 @@ def late(x: np.ndarray) -> np.ndarray:
     return out
 
 
-COPIES = {"an observer's": ("joint_angle_kf", late, "'joint_angle' again"),
-          "the same in degrees": ("joint_angle_deg", np.degrees, "'joint_angle' again"),
-          "the motor's": ("motor_joint_angle", lambda x: 30.0 * x + 1.7, "the motor's side of 'joint_angle', ratio 30")}
+COPIES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray], str]] = {
+    "an observer's": ("joint_angle_kf", late, "'joint_angle' again"),
+    "the same in degrees": ("joint_angle_deg", np.degrees, "'joint_angle' again"),
+    "the motor's": ("motor_joint_angle", lambda x: 30.0 * x + 1.7, "the motor's side of 'joint_angle', ratio 30")}
 
 
 @pytest.mark.parametrize("kind", COPIES)
@@ -87,7 +89,8 @@ def element(kind: int, data: bytes) -> bytes:
 def mat_objects(path: Path, names: list[str], kind: str) -> Path:
     """A file of MATLAB objects alone, as Simulink leaves it: each a matrix of class opaque with its name inside."""
     plain = io.BytesIO()
-    savemat(plain, {"x": np.array([[0xDD000000, 2, 1, 1, 4, 1]], np.uint32)})
+    numbers = np.array([[0xDD000000, 2, 1, 1, 4, 1]], np.uint32)
+    savemat(plain, {"x": numbers})  # type: ignore[arg-type]  # its stubs know paths only
     head, inner = plain.getvalue()[:128], plain.getvalue()[128:]
     body = [element(14, element(6, struct.pack("<II", 17, 0)) + b"".join(
         element(1, text.encode()) for text in (name, "MCOS", kind)) + inner) for name in names]
