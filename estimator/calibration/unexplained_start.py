@@ -43,7 +43,7 @@ def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) 
     grams = np.einsum("klna,klnb->kab", parts, parts)
     squares = np.einsum("klna->ka", parts**2)
     names = np.append([p.term for p in mechanism.parameters], ["offset"] * (slow.free.size - mechanism.p))
-    dry = np.flatnonzero(names[slow.free] == "coulomb")
+    dry, inertia = (np.flatnonzero(names[slow.free] == term) for term in ("coulomb", "inertia"))
     thin = round(len(data) / max(len(motion.q), 1))
     for k in range(2, int(MOST * count)):
         behind = slice(k, None)
@@ -57,6 +57,7 @@ def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) 
         start, after = slice(0, k - 1), slice(k, k + BEHIND)
         if (np.mean(left[start] > np.maximum(STRANGE * terms[start], held)) > MOSTLY
                 and left[after].sum() < EXPLAINED * terms[after].sum()
-                and terms[after].mean() > ALIKE * terms[start].mean()):
+                and terms[after].mean() > ALIKE * terms[start].mean()
+                and np.all(x[inertia] > 0.0)):  # else a column is wrong, not the start
             return (first + k * length) * thin
     return 0
