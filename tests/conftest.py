@@ -6,8 +6,12 @@ import gc
 import os
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from tests.support.shell import Shell
 
 HERE = Path(__file__).parent
 
@@ -35,6 +39,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 break
     if unknown and [Path(arg).resolve() for arg in config.args] == [HERE]:
         raise pytest.UsageError(f"tests/tiers.toml has {len(unknown)} cases that are no tests: {sorted(unknown)[:3]}")
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
+    """Types commands and reads what they say."""
+    from tests.support.shell import Shell
+
+    return Shell(capsys)
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ import pytest
 from estimator.fitting.fit import fit
 from estimator.fitting.wls import around_samples, design_rows
 from estimator.signals.segments import split_signals
-from experiments.cli import main
 from experiments.workflows.executor import SerialExecutor
 from studies.biped3 import store, study
 from studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
@@ -31,6 +30,7 @@ from studies.biped3.study import (
 )
 from studies.biped3.table import PAPER, bound, make_table, table_document
 from studies.walker import motor_mechanism, one_step
+from tests.support.shell import Shell
 
 
 def test_noise_is_that_of_table_ii_and_depends_on_seed_case_and_run_alone() -> None:
@@ -121,12 +121,12 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
         np.testing.assert_array_equal(resumed[block].error, whole[block].error)
 
 
-def test_command_writes_table_report_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_table_report_and_runs(tmp_path: Path, shell: Shell) -> None:
     out, js = tmp_path / "study", tmp_path / "table.json"
     arguments = ["monte-carlo", "biped3", "--runs", "6", "--cases", "1", "--methods", "mle,wls", "--workers", "1",
                  "--out", str(out), "--json", str(js)]
-    assert main(arguments) == 0
-    text = capsys.readouterr().out
+    shell(*arguments)
+    text = shell.out
     assert "MLE" in text and "1.242" in text and "floor" in text
     document = json.loads(js.read_text())
     assert document["schema"] == "legid.monte-carlo/1"
@@ -143,9 +143,9 @@ def test_command_writes_table_report_and_runs(tmp_path: Path, capsys: pytest.Cap
 
 @pytest.mark.parametrize("arguments", [["--runs", "0"], ["--cases", "6"], ["--methods", "magic"],
                                        ["--workers", "2", "--cluster", "tcp://x:1"]])
-def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monte-carlo", "biped3", *arguments]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], shell: Shell) -> None:
+    shell("monte-carlo biped3", *arguments, status=2)
+    assert len(shell.err.strip().splitlines()) == 1
 
 
 def test_paper_table_has_four_cases_by_method() -> None:

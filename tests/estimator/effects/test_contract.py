@@ -22,6 +22,7 @@ from estimator.effects import Effect, GearEffect, LawEffect, Shape, Size, classe
 from estimator.effects.derivatives import Laws
 from estimator.effects.registry import joints_of, library_classes
 from estimator.likelihood import Candidate, Latents
+from estimator.likelihood.effect_columns import slopes
 from estimator.model import Mechanism, Motion
 from estimator.options import FitOptions
 from estimator.signals import encoder_of, torque_of
@@ -99,6 +100,8 @@ def test_it_vanishes_at_zero_size_and_acts_at_its_scale_at_every_joint(kind: typ
             acting = effect.perturb(view, size)
             parts = [part for part in (acting.torque, *acting.readings.values()) if part is not None]
             assert any(np.any(part != 0.0) for part in parts) and all(np.isfinite(part).all() for part in parts)
+            assert Candidate(effect, shape).width == len(effect.sizes)
+            assert len(slopes(effect, view, size)) == effect.count
 
 
 @EVERY

@@ -70,6 +70,9 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
     for name, known in normal(plain).items():
         atol = 1e-10 * np.abs(known).max(initial=0.0)
         np.testing.assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
+    for name, known in plain.residuals.items():
+        np.testing.assert_allclose(fast.residuals[name], known, rtol=0.0, atol=1e-10 * np.abs(known).max(),
+                                   err_msg=name)
 
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])

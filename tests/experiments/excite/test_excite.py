@@ -21,6 +21,7 @@ from experiments.models import known_effects
 from experiments.models.model_file import load_model
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 SECONDS = 6.0
 
@@ -240,16 +241,16 @@ def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest
     assert not (folder / "x.csv").exists() and not (tmp_path / "s").exists()
 
 
-def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, shell: Shell) -> None:
     start = ["excite", "--rig", str(folder / "rig.toml"), "--out", str(folder / "first.csv")]
-    assert main([*start, "--seconds", "8"]) == 0
+    shell(*start, "--seconds 8")
     first = read_plan(folder / "first.csv")
     assert first.peak_nm == pytest.approx(0.1 * 1.5) and first.duration_s == pytest.approx(8.0)
-    assert main([*start, "--seconds", "8", "--peak", "0.7", "--seed", "1"]) == 0
+    shell(*start, "--seconds 8 --peak 0.7 --seed 1")
     second = read_plan(folder / "first.csv").torque_nm
     assert np.abs(second).max() == pytest.approx(0.7) and not np.allclose(second / 0.7, first.torque_nm / 0.15)
-    assert main([*start, "--peak", "2"]) == 2
-    assert main([*start, "--peak", "1", "--model", str(folder / "model.json")]) == 2
-    assert main([*start, "--seconds", "3"]) == 2
-    errors = capsys.readouterr().err.splitlines()
+    shell(*start, "--peak 2", status=2)
+    shell(*start, "--peak 1 --model", folder / "model.json", status=2)
+    shell(*start, "--seconds 3", status=2)
+    errors = shell.err.splitlines()
     assert len(errors) == 3 and "limit of 1.5 N m" in errors[0] and "leave out --peak" in errors[1]

@@ -37,6 +37,7 @@ from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
+from tests.support.shell import Shell
 
 
 @pytest.fixture(scope="module")
@@ -211,12 +212,12 @@ def test_fit_is_matlab_s() -> None:
 
 
 def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[str, str], tmp_path: Path,
-                                                      capsys: pytest.CaptureFixture[str]) -> None:
+                                                      shell: Shell) -> None:
     runs = [str(folder / f"{name}.mcap") for name in ("none2", "joint_stiffness0")]
     models = [str(folder / f"{name}.json") for name in fits]
     out, page = tmp_path / "c.json", tmp_path / "c.html"
-    assert cli.main(["compare", *models, *runs, "--json", str(out), "--html", str(page)]) == 0
-    told = capsys.readouterr().out.splitlines()
+    shell("compare", *models, *runs, "--json", out, "--html", page)
+    told = shell.out.splitlines()
     assert "joint_stiffness.json was fitted to joint_stiffness0.mcap" in "".join(told[:3])
     document = json.loads(out.read_text())
     assert document["schema"] == "legid.comparison/1" and {e["column"] for e in document["errors"]} == {

@@ -19,6 +19,7 @@ from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import EffectValue
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.shell import Shell
 
 RATE_HZ = 500.0
 SECONDS = 4.0
@@ -212,41 +213,39 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.parametrize(("changes", "words"), [
     ({2: 1.0}, "not positive definite"), ({4: -0.1}, "no length"), ({4: 0.0}, "no length")])
-def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path,
-                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg())
     for k, value in changes.items():
         beta[k] = value
     model = write_model(tmp_path / "m.json", beta, LEG)
-    assert main(["export", str(model), "--to", "mjcf", "--out", str(tmp_path / "x.xml")]) == 2
-    error = capsys.readouterr().err
+    shell("export", model, "--to mjcf --out", tmp_path / "x.xml", status=2)
+    error = shell.err
     assert words in error and error.count("\n") == 1
     assert not (tmp_path / "x.xml").exists()
 
 
-def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, shell: Shell) -> None:
     biped = write_model(tmp_path / "b.json", [1.0] * 8, {"model": "biped3", "actuated": (2, 3)})
     servo = write_model(tmp_path / "v.json", [1.0] * 4, {"model": "joint1", "actuated": (1,), "input": "voltage"})
     leg = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     for model, more in ((biped, []), (servo, []), (leg, ["--rate", "100"])):
-        assert main(["export", str(model), "--to", "urdf", "--out", str(tmp_path / "x.urdf"), *more]) == 2
-    errors = capsys.readouterr().err.splitlines()
+        shell("export", model, "--to urdf --out", tmp_path / "x.urdf", *more, status=2)
+    errors = shell.err.splitlines()
     assert len(errors) == 3
     assert "one or two links" in errors[0] and "volt" in errors[1] and "--rate" in errors[2]
     assert json.loads(biped.read_text())["schema"] == "legid.model/1"
 
 
-def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]
-                                                              ) -> None:
+def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, shell: Shell) -> None:
     """The speed bound falls as the joint can decelerate; at rest all torque is there."""
     model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     limits = load_rig(tmp_path / "rig.toml").limits
     out = tmp_path / "leg.urdf"
     command = ["export", str(model), "--to", "urdf", "--out", str(out)]
-    assert main(command) == 0 and "no joint has a limit" in capsys.readouterr().err
-    assert main([*command, "--force", "--rig", str(tmp_path / "rig.toml")]) == 0
-    assert "no joint has a limit" not in capsys.readouterr().err
+    assert main(command) == 0 and "no joint has a limit" in shell.err
+    shell(*command, "--force --rig", tmp_path / "rig.toml")
+    assert "no joint has a limit" not in shell.err
     passive, driven = ET.parse(out).getroot().findall("joint")
     assert passive.get("type") == driven.get("type") == "revolute" and passive.find("safety_controller") is None
     bound, keeper = driven.find("limit"), driven.find("safety_controller")
