@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from daq.errors import WorkError
-from daq.recording.plan import Plan, read_plan, write_plan
+from daq.recording.plan import Plan, write_plan
 from daq.rig import load_rig
 from daq.runs.csv_run import read_csv
 from daq.runs.mcap_run import read_run
@@ -23,7 +23,7 @@ from drivers.mock.rig import MockRig
 from estimator.errors import FitError
 from experiments import cli
 from experiments.cli.main import GROUPS
-from experiments.emulation.plant import LegBody, LegPlant
+from experiments.emulation.plant import LegPlant
 from experiments.excite.multisine import random_multisine
 from experiments.judge.found_model import model_of
 from experiments.models.mechanism_settings import mechanism_settings
@@ -205,35 +205,6 @@ def test_output_that_cannot_be_written(demo_run: Path, tmp_path: Path, shell: Sh
 
 
 # -- simulation --------------------------------------------------------------------------------------------
-
-
-def test_simulated_run_is_the_plants_motion(model_file: Path, tmp_path: Path, shell: Shell) -> None:
-    # The plant is an independent implementation with true dry friction; the model rounds its sign off.
-    plan = random_multisine(5, 6.0, 0.6, rate_hz=200.0)
-    write_plan(plan, tmp_path / "plan.csv")
-    shell("simulate", model_file, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.csv")
-    run = read_csv(tmp_path / "run.csv", load_rig(RIG))
-    plant, motion = LegPlant(LegBody()), []
-    for torque in read_plan(tmp_path / "plan.csv").torque_nm:
-        motion.append(plant.state)
-        plant.step(0.005, torque)
-    q = np.array(motion)
-    assert run.time_s.size == q.shape[0]
-    assert np.abs(run.columns["q1_rad"] - q[:, 0]).max() < 0.03 * np.ptp(q[:, 0])
-    assert np.abs(run.columns["q2_rad"] - q[:, 1]).max() < 0.03 * np.ptp(q[:, 1])
-    np.testing.assert_array_equal(run.columns["tau2_nm"], run.columns["tau2_cmd_nm"])
-
-
-def test_simulated_noise_has_the_models_levels_and_seed(model_file: Path, tmp_path: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(800) / 100.0, np.zeros(800)), tmp_path / "p.csv")
-    for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
-        shell("simulate", model_file, "--plan", tmp_path / "p.csv", "--out", tmp_path / f"{name}.csv", "--noise-seed",
-              seed)
-    a, b, c = (read_csv(tmp_path / f"{name}.csv").columns for name in "abc")
-    assert np.std(a["gyro_radps"]) == pytest.approx(0.005, rel=0.1)
-    assert np.std(a["accel_x_mps2"]) == pytest.approx(0.05, rel=0.1)
-    np.testing.assert_array_equal(a["gyro_radps"], b["gyro_radps"])
-    assert not np.array_equal(a["gyro_radps"], c["gyro_radps"])
 
 
 def test_start_must_fit_the_mechanism(model_file: Path, tmp_path: Path, shell: Shell) -> None:

@@ -159,11 +159,6 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, content: str, place: 
     assert str(path) in text and place in text and "\n" not in text
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.json"):
-        load_model(tmp_path / "none.json")
-
-
 def test_fit_document_is_the_contract() -> None:
     found = document_of(synthetic_fit()).document
     first = {"schema", "model", "method", "sensors", "parameters", "noise", "torque_residual_rms_nm", "converged",

@@ -79,10 +79,12 @@ def test_a_sensor_effect_changes_its_reading_and_nothing_else(value: EffectValue
 
 def test_noise_of_a_simulation_is_that_of_the_model(tmp_path: Path) -> None:
     noise = {"accel_mps2": 0.3, "accel_x_mps2": 0.05, "accel_y_mps2": 0.4, "accel_correlation": 0.8, "gyro_radps": 0.01}
-    plain, noisy = (run_of(msgspec.structs.replace(model_with(), noise=noise), tmp_path, *words)
-                    for words in ((), ("--noise-seed", "3")))
+    plain, noisy, again, other = (run_of(msgspec.structs.replace(model_with(), noise=noise), tmp_path, *words)
+                                  for words in ((), *(("--noise-seed", seed) for seed in "334")))
     left = np.array([noisy[c] - plain[c] for c in ("accel_x_mps2", "accel_y_mps2", "gyro_radps", "q2_rad")])
     assert left[:3].std(axis=1) == pytest.approx([0.05, 0.4, 0.01], rel=0.06) and not left[3].any()
+    np.testing.assert_array_equal(noisy["gyro_radps"], again["gyro_radps"])
+    assert not np.array_equal(noisy["gyro_radps"], other["gyro_radps"])
     assert np.corrcoef(left[:3])[0] == pytest.approx([1.0, 0.8, 0.0], abs=0.08)
 
 
