@@ -5,14 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.drive import Received
+from drivers import LegController, Pong, Received, State
 from drivers.errors import DeviceFault
-from drivers.leg_controller import LegController
-from drivers.protocol import (
-    Fault,
-    Pong,
-    State,
-)
+from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from tests.support.c_firmware import (
     Served,

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers import FaultReport, Hello, Message, Pong, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
-from drivers.protocol import FaultReport, Heartbeat, Hello, Message, Ping, Pong, Stop, Telemetry, TorqueCommand
+from drivers.protocol import Heartbeat, Ping, Stop, TorqueCommand
 
 TELEMETRY = Telemetry(7, 4000, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
 HELLO = Hello(1, 0x1234ABCD, 500, 50.0, 2.0, 1000)

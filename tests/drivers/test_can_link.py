@@ -12,17 +12,13 @@ import can
 import numpy as np
 import pytest
 
+from drivers import DeviceAbsent, LegController, LinkLost, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
-from drivers.errors import DeviceAbsent, LinkLost
-from drivers.leg_controller import LegController
-from drivers.mock.can_server import CanServer
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from drivers.mock import CanServer, EmulatorLink, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import State, Stop, Telemetry
+from drivers.protocol import Stop
 from tests.support.leg_on_a_link import drive, is_stopped, ping
 from tests.support.processes import REAL_CLOCK
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import DeviceAbsent, DriverError, FaultReport, State, attach, drive_kinds, open_drive
-from drivers.errors import DeviceFault, LinkLost
+from drivers import DeviceAbsent, DriverError, FaultReport, LinkLost, State, attach, drive_kinds, open_drive
+from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
 from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault

@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
+from daq import parse_rig
+from daq.recording import record_run
+from daq.runs import read_run
+from drivers import DeviceAbsent, FaultReport, Hello, Wiring
 from drivers import dynamixel as dxl
-from drivers.drive import Wiring
 from drivers.dynamixel import Address, Instruction
 from drivers.dynamixel_drive import DynamixelDrive, find_nodes
-from drivers.errors import DeviceAbsent, DeviceFault, ProtocolMismatch
+from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
 from drivers.mock.plant import StillPlant, StillState
-from drivers.protocol import FaultReport, Hello
 from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
 from tests.support.recordings import RIG, sine
 

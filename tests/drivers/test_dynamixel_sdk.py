@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from drivers import Wiring
 from drivers import dynamixel as dxl
-from drivers.drive import Wiring
 from drivers.dynamixel import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table

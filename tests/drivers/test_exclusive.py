@@ -9,15 +9,12 @@ from typing import Any
 
 import pytest
 
-from drivers import i2c_bus
+from drivers import ImuConfig, Lsm9ds1, i2c_bus, open_bus
 from drivers.can_codec import CanCodec
 from drivers.can_link import CanLink
 from drivers.errors import DeviceBusy
-from drivers.i2c_bus import open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.i2c_server import I2cServer
+from drivers.mock import I2cServer, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 

@@ -8,16 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, Telemetry
 from drivers.can_codec import CanCodec
-from drivers.errors import DriverError, LinkLost
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import Decoder, Telemetry, encode
+from drivers.protocol import Decoder, encode
 from tests.support.device_faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)

@@ -6,13 +6,14 @@ import struct
 import numpy as np
 import pytest
 
+from drivers import FaultReport
 from drivers import feetech as sts
 from drivers.errors import ProtocolMismatch
 from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.mock.plant import StillPlant, StillState
-from drivers.protocol import Fault, FaultReport
+from drivers.protocol import Fault
 from tests.support.drive_bench import DriveBench, opened, telemetry
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from drivers import Wiring
 from drivers import feetech as sts
-from drivers.drive import Wiring
 from drivers.feetech import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.feetech_drive import MockFeetech, new_table

@@ -5,25 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError, LinkLost, ProtocolMismatch
-from drivers.leg_controller import LegController
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from drivers import DeviceAbsent, DriverError, Hello, LegController, LinkLost, Pong, State, Telemetry
+from drivers.errors import DeviceBusy, DeviceFault, ProtocolMismatch
+from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import (
-    DriveLimits,
-    Fault,
-    Feature,
-    Hello,
-    Pong,
-    State,
-    Telemetry,
-    TimedCommand,
-    TorqueCommand,
-    encode,
-)
+from drivers.protocol import DriveLimits, Fault, Feature, TimedCommand, TorqueCommand, encode
 from drivers.serial_link import SerialLink
 
 STOP = bytes.fromhex("00 04 03 93 D1 00")  # firmware_protocol.md, section 9, behind a delimiter

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError
-from drivers.i2c_bus import open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
+from drivers import DeviceAbsent, DriverError, ImuConfig, Lsm9ds1, open_bus
+from drivers.errors import DeviceBusy, DeviceFault
+from drivers.mock import VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from smbus2 import i2c_msg
 
-from drivers import TO_AG
-from drivers.errors import DeviceAbsent, DeviceFault
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.lsm9ds1_mag import MagConfig, Magnetometer
-from drivers.lsm9ds1_selftest import SelfTest
-from drivers.mock.clock import VirtualClock
+from drivers import TO_AG, DeviceAbsent, Lsm9ds1, MagConfig, Magnetometer, SelfTest
+from drivers.errors import DeviceFault
+from drivers.mock import VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
 

@@ -8,13 +8,10 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.errors import DeviceBusy, LinkLost
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
+from drivers import LegController, LinkLost, Lsm9ds1, State, Telemetry
+from drivers.errors import DeviceBusy
+from drivers.mock import MockRig, PtyServer
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.protocol import State, Telemetry
 from drivers.serial_link import SerialLink
 from tests.support.leg_on_a_link import PATIENCE_S, drive, ping, poll_until, settle
 from tests.support.processes import REAL_CLOCK

@@ -8,17 +8,14 @@ from typing import Any
 
 import pytest
 
-from drivers import FaultReport, Hello
+from drivers import FaultReport, Hello, Reaction
 from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault, ProtocolMismatch
-from drivers.mock.clock import RealClock
+from drivers.mock import MockRig, PtyServer, RealClock, drive_maker, on_serial
 from drivers.mock.moteus_drive import MockMoteus
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig, drive_maker, on_serial
 from drivers.moteus_drive import QUERY, MoteusDrive
 from drivers.multiplex import WRITE, Kind, Register, parse, write
-from drivers.protocol import Reaction
 from tests.support.drive_bench import DriveBench, opened, telemetry
 
 

@@ -7,18 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from daq.recording.plan import write_plan
+from daq.recording import write_plan
 from daq.recording.workers import real_time
-from daq.runs.mcap_run import read_run
-from drivers.leg_controller import LegController
-from drivers.mock.clock import RealClock
-from drivers.mock.i2c_server import I2cServer
+from daq.runs import read_run
+from drivers import LegController, Message, State
+from drivers.mock import I2cServer, MockRig, RealClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import Arm, DriveLimits, Fault, LimitsRequest, Message, State, Stop
+from drivers.protocol import Arm, DriveLimits, Fault, LimitsRequest, Stop
 from drivers.serial_link import SerialLink
 from experiments import cli
-from experiments.excite.multisine import random_multisine
+from experiments.excite import random_multisine
 from tests.support.c_firmware import SOURCES
 from tests.support.qemu_board import CC, HANG, RETURN, STRICT, Board, needs, returns
 

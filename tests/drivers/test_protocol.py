@@ -9,21 +9,8 @@ from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.protocol import (
-    MAX_FRAME,
-    Arm,
-    Decoder,
-    Fault,
-    Hello,
-    Message,
-    Ping,
-    Pong,
-    Stop,
-    Telemetry,
-    TorqueCommand,
-    describe_faults,
-    encode,
-)
+from drivers import Hello, Message, Pong, Telemetry, describe_faults
+from drivers.protocol import MAX_FRAME, Arm, Decoder, Fault, Ping, Stop, TorqueCommand, encode
 
 TELEMETRY = Telemetry(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 HELLO = Hello(1, 7, 500, 50.0, 2.0, 1000)

@@ -14,16 +14,12 @@ from typing import Any
 import can
 import pytest
 
+from drivers import DeviceAbsent, LegController, LinkLost, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
-from drivers.errors import DeviceAbsent, LinkLost
-from drivers.leg_controller import LegController
-from drivers.mock.can_server import CanServer
+from drivers.mock import CanServer, FirmwareSettings, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import State, Telemetry
 from tests.support.leg_on_a_link import PATIENCE_S, drive, is_stopped, ping, poll_until
 
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}

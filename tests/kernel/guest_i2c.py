@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from smbus2 import SMBus, i2c_msg
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DriverError
-from drivers.i2c_bus import claim, explain, open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
+from drivers import DeviceAbsent, DriverError, ImuConfig, Lsm9ds1, claim, explain, open_bus
+from drivers.errors import DeviceBusy
+from drivers.mock import VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from tests.kernel.cuse_bus import CuseBus
 from tests.kernel.wires_bus import DEVICE, WiresBus

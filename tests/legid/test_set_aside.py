@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import legid
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from experiments.documents import Document
 from tests.support.paths import FIXTURES, REAL, ROOT, needs_records
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import legid
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from tests.support.paths import FIXTURES
 from tests.support.shell import Shell
 

@@ -15,10 +15,9 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from daq.errors import InputError
-from daq.rig import load_rig
-from estimator import Verdict
-from estimator.diagnosis.result import Cause, Diagnosis
+from daq import InputError, load_rig
+from estimator import Diagnosis, Verdict
+from estimator.diagnosis import Cause
 from experiments.cli import main
 from studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
 from studies.casebook_page import study_text

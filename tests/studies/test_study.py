@@ -7,26 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.fitting.fit import fit
-from estimator.fitting.wls import design_rows
-from estimator.signals.segments import split_signals
+from estimator import fit
+from estimator.fitting import design_rows
+from estimator.signals import split_signals
 from experiments.workflows.executor import SerialExecutor
-from studies.biped3 import store, study
+from studies.biped3 import CASES, FLOOR, blocks, make_table, store, study, table_document
 from studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
 from studies.biped3.study import (
-    CASES,
-    FLOOR,
     KNOWN_WLS,
     PAPERS_MLE,
     Block,
-    blocks,
     case_options,
     error_of_truth,
     noisy_record,
     run_block,
     truth,
 )
-from studies.biped3.table import PAPER, bound, make_table, table_document
+from studies.biped3.table import PAPER, bound
 from studies.walker import motor_mechanism, one_step
 from tests.support.shell import Shell
 

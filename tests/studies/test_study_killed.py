@@ -9,9 +9,8 @@ import pytest
 
 from experiments.cli import main
 from experiments.workflows.executor import SerialExecutor
-from studies.biped3 import store
-from studies.biped3.store import run_study
-from studies.biped3.study import CASES, FLOOR, blocks, run_block
+from studies.biped3 import CASES, FLOOR, blocks, run_study, store
+from studies.biped3.study import run_block
 from tests.support.processes import REAL_CLOCK, of_session, start_python, until
 
 pytestmark = REAL_CLOCK

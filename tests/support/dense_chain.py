@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from daq import Dataset, FloatArray
+from estimator import RESIDUAL_LAGS
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.numerics import BlockTridiagonal
-from estimator.result import RESIDUAL_LAGS
 
 
 def residual_colour(problem: LatentProblem, state: State, std: float) -> np.ndarray:

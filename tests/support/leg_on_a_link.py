@@ -3,10 +3,8 @@
 import time
 from collections.abc import Callable
 
-from drivers.drive import Received
-from drivers.leg_controller import LegController
-from drivers.mock.rig import MockRig
-from drivers.protocol import Pong, State
+from drivers import LegController, Pong, Received, State
+from drivers.mock import MockRig
 
 PATIENCE_S = 20.0
 

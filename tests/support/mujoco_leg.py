@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from daq import FloatArray
-from daq.dataset import Dataset
+from daq import Dataset, FloatArray
 
 GRAVITY = 9.81
 XML = """

@@ -5,15 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.recorder import RecordReport
-from daq.rig import parse_rig
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from daq import parse_rig
+from daq.recording import Plan, RecordReport, record_run
+from drivers import ImuConfig, LegController, Lsm9ds1
+from drivers.mock import MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
 from drivers.serial_link import SerialLink
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.controller]\nwatchdog_ms = 100\n[limits]\n'

@@ -5,23 +5,12 @@ from typing import Any
 
 import pytest
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.recorder import RecordReport
-from daq.recording.sensors import Sensors
-from daq.rig import parse_rig
-from daq.runs.mcap_run import RawRun, read_run
-from drivers.as5600 import As5600
-from drivers.current_shunt import CurrentShunt
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from daq import WorkError, parse_rig
+from daq.recording import Plan, RecordReport, Sensors, record_run
+from daq.runs import RawRun, read_run
+from drivers import As5600, CurrentShunt, LegController, Lsm9ds1, State
+from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, PivotSettings, ShuntSettings, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, PivotSettings, ShuntSettings
-from drivers.protocol import State
 from tests.support.recordings import RIG, sine
 
 TABLES = """[devices.pivot]

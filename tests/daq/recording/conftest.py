@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.mock.rig import MockRig
+from drivers.mock import MockRig
 
 
 @pytest.fixture

@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording import recorder
-from daq.recording.plan import Plan
+from daq import WorkError
+from daq.recording import Plan, recorder
 from daq.recording.recorder import Recorder
-from daq.runs import mcap_run
-from daq.runs.mcap_run import RunWriter, read_run
-from drivers.leg_controller import LegController
-from drivers.mock.rig import MockRig
-from drivers.protocol import State
+from daq.runs import RunWriter, mcap_run, read_run
+from drivers import LegController, State
+from drivers.mock import MockRig
 from tests.support.device_faults import FaultyDisk
 from tests.support.recordings import at, sine, threaded
 

@@ -11,15 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.errors import InputError, WorkError
-from daq.recording.plan import Plan
+from daq import InputError, WorkError, parse_rig
+from daq.recording import Plan
 from daq.recording.recorder import RAMP_S
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
-from drivers.errors import LinkLost
-from drivers.lsm9ds1 import Lsm9ds1
+from daq.runs import read_run
+from drivers import LinkLost, Lsm9ds1, State
 from drivers.mock.plant import StillPlant, StillState
-from drivers.protocol import State
 from tests.support.recordings import RIG, Turning, at, sine, threaded
 from tests.support.runs import load_run
 from tests.support.sensor_bench import RigBench

@@ -12,20 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs import mcap_run
-from daq.runs.mcap_run import read_run
+from daq import WorkError, parse_rig
+from daq.recording import Plan, record_run
+from daq.runs import mcap_run, read_run
+from drivers import ImuConfig, LegController, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, ImuSettings
-from drivers.protocol import Decoder, State, Telemetry
+from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from drivers.protocol import Decoder
 from tests.support.device_faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK

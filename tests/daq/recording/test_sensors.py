@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from daq import Calibration, Limits, parse_rig
 from daq.recording.plausibility import Plausibility
-from daq.rig import Calibration, parse_rig
-from daq.rig_limits import Limits
-from daq.runs.mcap_run import read_run
-from daq.timing.align import decode, recorded_rig
-from drivers.mock.settings import PivotSettings, ShuntSettings
-from drivers.protocol import Hello
+from daq.runs import read_run
+from daq.timing import decode, recorded_rig
+from drivers import Hello
+from drivers.mock import PivotSettings, ShuntSettings
 from tests.support.recordings import RIG, Turning, at
 from tests.support.runs import load_run
 from tests.support.sensor_bench import TABLES, SensorBench

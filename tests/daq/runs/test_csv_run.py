@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.errors import InputError
-from daq.rig import Rig, parse_rig
-from daq.runs.csv_run import read_csv, write_csv
+from daq import Dataset, InputError, Rig, parse_rig
+from daq.runs import read_csv, write_csv
 from tests.support.paths import REAL
 from tests.support.runs import load_run
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from daq.errors import InputError, WorkError
-from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, read_run
-from daq.runs.streams import CLOCK, COMMAND, IMU_STREAM, STREAMS, TELEMETRY, Note, pack_note, unpack_note
+from daq import InputError, WorkError
+from daq.runs import Note, RunWriter, read_run
+from daq.runs.mcap_run import FLUSH_MESSAGES
+from daq.runs.streams import CLOCK, COMMAND, IMU_STREAM, STREAMS, TELEMETRY, pack_note, unpack_note
 from tests.support.paths import ROOT
 
 

@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from mcap.records import Footer
 from mcap.stream_reader import StreamReader
 
-from daq.errors import InputError
-from daq.runs.mcap_run import RunWriter, read_run, recover
+from daq import InputError
+from daq.runs import RunWriter, read_run, recover
 
 
 @pytest.fixture(scope="module")

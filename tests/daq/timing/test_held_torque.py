@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from daq.dataset import FloatArray
+from daq import FloatArray
+from daq.timing import TimedColumns, align_channels
 from daq.timing.held_torque import commanded_torque, find_response, split_torque
-from daq.timing.resample import TimedColumns, align_channels
 
 DELAY_S, LAG_S = 0.0006, 0.0011
 SENT_S: FloatArray = np.asarray(0.2 + np.arange(1000) * 0.01, float)

@@ -6,11 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.rig import load_rig
-from daq.runs.mcap_run import RunWriter, read_run
-from daq.timing.skew import measure_skew
-from experiments.reports.run_info import describe_mcap
+from daq import Dataset, load_rig
+from daq.runs import RunWriter, read_run
+from daq.timing import measure_skew
+from experiments.reports import describe_mcap
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from daq.dataset import Dataset
-from daq.timing.torque_channels import compare_torque_channels
+from daq import Dataset
+from daq.timing import compare_torque_channels
 
 RATE_HZ, SECONDS = 200.0, 20.0
 

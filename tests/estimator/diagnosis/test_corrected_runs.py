@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from estimator import FitOptions
 from estimator.diagnosis.context import DiagnosisContext, scored
 from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import split_runs
@@ -14,7 +15,6 @@ from estimator.diagnosis.model import deviance, fit_nominal
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.score import BEYOND, default_tolerances
 from tests.support.lab_readings import SMALL, read_with
 from tests.support.mujoco_leg import random_leg

@@ -11,25 +11,20 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import Diagnosis, FitError, FitOptions, diagnose
 from estimator.diagnosis import model as models
 from estimator.diagnosis.account import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import fit_nominal
-from estimator.diagnosis.procedure import diagnose
-from estimator.diagnosis.result import Diagnosis
 from estimator.effects import library
 from estimator.effects.load_dependent_friction import LoadDependentFriction
-from estimator.errors import FitError
-from estimator.fitting.gauss_newton import iterate
-from estimator.likelihood import LatentProblem, Stage
+from estimator.fitting import iterate
+from estimator.likelihood import LatentProblem, Latents, Stage, State
 from estimator.likelihood.effect_columns import braked
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from estimator.model import joint1, leg2
 from estimator.score import Score, own_inflation, project
-from estimator.signals.segments import SignalSet, split_signals
+from estimator.signals import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
 
 CHOSEN = FitOptions(sensors="imu", hold="auto", smoothing_velocity="auto")

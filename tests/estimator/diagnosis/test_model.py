@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import Effect, FitError, FitOptions
 from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import measure
@@ -27,26 +28,18 @@ from estimator.diagnosis.model import (
     smooth,
 )
 from estimator.diagnosis.residual_signature import signature
-from estimator.effects import Effect
-from estimator.effects.backlash import Backlash
+from estimator.effects import Backlash, TorqueDelay
 from estimator.effects.joint_elasticity import JointElasticity
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.effects.quadratic_drag import QuadraticDrag
-from estimator.effects.torque_delay import TorqueDelay
 from estimator.effects.torque_ripple import TorqueRipple
-from estimator.errors import FitError
 from estimator.fitting import converge_motion
-from estimator.likelihood import Candidate, LatentProblem, Stage
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State
 from estimator.likelihood.free_run import free_run
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from estimator.model import joint1, leg2
 from estimator.prediction import per_value, white_noise
-from estimator.signals import IMU_COLUMNS
-from estimator.signals.segments import SignalSet
+from estimator.signals import IMU_COLUMNS, SignalSet
 from evidence.blind.cases import Case, DrawnCase, draw_case
 from evidence.blind.effects import MOTOR_INERTIA
 from evidence.blind.leg import stack

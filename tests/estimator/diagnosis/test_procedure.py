@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.diagnosis.decision_rule import MATERIAL
+from estimator import FitError
+from estimator.diagnosis import MATERIAL
 from estimator.diagnosis.family import measure_all, measure_first
 from estimator.diagnosis.train_errors import floor_of_best, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
-from estimator.errors import FitError
 from tests.support.driven_pendulum import Searched, pendulum_runs, search_runs, searched
 
 DRAG, SPRING = 0.03, 0.4

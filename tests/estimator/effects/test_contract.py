@@ -16,15 +16,14 @@ import numpy as np
 import pytest
 
 from daq import Dataset, FloatArray
+from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import Model, fit_nominal, refit
-from estimator.effects import Effect, GearEffect, LawEffect, Shape, Size, classes, placed
-from estimator.effects.derivatives import Laws
+from estimator.effects import GearEffect, LawEffect, Laws, Shape, Size, classes, placed
 from estimator.effects.registry import joints_of, library_classes
 from estimator.likelihood import Candidate, Latents
 from estimator.likelihood.effect_columns import slopes
 from estimator.model import Mechanism, Motion
-from estimator.options import FitOptions
 from estimator.signals import encoder_of, torque_of
 from tests.support.hidden_effects import HIDDEN, LEVELS, SENSORS, record_hidden
 from tests.support.hidden_loops import GAIN, HIDDEN_LOOPS, QUANTUM_RAD, record_loop

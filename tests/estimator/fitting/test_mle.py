@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator import Method
-from estimator.errors import FitError
-from estimator.fitting.fit import fit
-from estimator.model.forward_simulation import simulate
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from estimator import FitError, FitOptions, Method, fit
+from estimator.model import leg2, simulate
 from tests.support.mujoco_leg import Leg, random_leg, record
 
 RIGID = slice(0, 5)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimator.fitting.fit import fit
+from estimator import FitOptions, fit
 from estimator.fitting.mle_free import FreeProblem, build_problem, difference_matrix, first_latents, minimise
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.signals.filters import central_difference, lowpass
-from estimator.signals.segments import split_signals
-from studies.biped3.study import CASES, case_options, noisy_record
+from estimator.model import leg2
+from estimator.signals import lowpass, split_signals
+from estimator.signals.filters import central_difference
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record
 from studies.walker import motor_mechanism, one_step
 from tests.support.mujoco_leg import Leg, record
 

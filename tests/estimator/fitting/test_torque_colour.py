@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator import FitOptions
 from estimator.fitting.excerpt import excerpt
 from estimator.fitting.torque_colour import torque_colour
 from estimator.likelihood import LatentProblem, Noise
 from estimator.model import leg2
-from estimator.options import FitOptions
-from estimator.signals.segments import split_signals
+from estimator.signals import split_signals
 from tests.support.dense_chain import at_measured, residual_colour
 from tests.support.mujoco_leg import Leg, record
 

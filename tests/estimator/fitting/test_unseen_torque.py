@@ -9,13 +9,13 @@ import pytest
 
 from daq import Dataset
 from estimator import FitOptions, fit
-from estimator.fitting.latent_motion import converge_motion
+from estimator.fitting import converge_motion
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import log_marginal
 from estimator.likelihood import GaussRows, LatentProblem, Latents, Noise, State, unseen_level
 from estimator.model import leg2
 from estimator.numerics import eliminate
-from estimator.signals.segments import split_signals
+from estimator.signals import split_signals
 from tests.support.dense_chain import at_measured, dense, residual_colour
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.mujoco_leg import record as in_mujoco

@@ -7,18 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator import Effect
 from estimator.effects import library
-from estimator.effects.base import Effect
-from estimator.likelihood import latent_problem
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.stage import Candidate, Stage
+from estimator.likelihood import Candidate, LatentProblem, Latents, Linearised, Noise, Stage, latent_problem
+from estimator.model import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.chain import chain
-from estimator.model.mechanism import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
-from estimator.signals.imu import imu_columns
-from estimator.signals.segments import SignalSet
+from estimator.signals import SignalSet, imu_columns
 from tests.support import assembly_numpy
 from tests.support.equations import normal
 

@@ -10,25 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import fit_nominal, refit
-from estimator.effects.backlash import Backlash
-from estimator.effects.base import Effect
+from estimator.effects import Backlash, EncoderOffset, StribeckFriction
 from estimator.effects.base_compliance import BaseCompliance
-from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.presliding_friction import PreslidingFriction
 from estimator.effects.rotor_inertia import RotorInertia
-from estimator.effects.stribeck_friction import StribeckFriction
 from estimator.effects.torque_saturation import TorqueSaturation
-from estimator.likelihood import LatentProblem, Stage
+from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction, pieces
 from estimator.likelihood.effective_samples import effective_samples
-from estimator.likelihood.free_run import _Plant, free_run, pieces
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.likelihood.stiction import find_stiction
-from estimator.model.mechanism import Mechanism, joint1, leg2
-from estimator.options import FitOptions
+from estimator.likelihood.free_run import _Plant, free_run
+from estimator.model import Mechanism, joint1, leg2
 from estimator.signals import SignalSet, torque_of
 from tests.support.mujoco_leg import Leg, record
 

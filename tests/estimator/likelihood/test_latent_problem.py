@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator.fitting import stopping
-from estimator.fitting.fit import fit
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import start_state
-from estimator.fitting.wls import free_mask
-from estimator.likelihood import latent_problem
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.signals.segments import split_signals
+from daq import Dataset
+from estimator import FitOptions, fit
+from estimator.fitting import free_mask, iterate, start_state, stopping
+from estimator.likelihood import LatentProblem, Latents, Noise, latent_problem
+from estimator.model import leg2
+from estimator.signals import split_signals
 from tests.support.equations import normal
 from tests.support.mujoco_leg import Leg, random_leg, record
 

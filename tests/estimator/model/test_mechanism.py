@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from estimator.model import Mechanism, biped3, joint1, leg2
 from estimator.model.chain import chain
-from estimator.model.mechanism import Mechanism, biped3, joint1, leg2
-from estimator.signals.imu import accelerometer
+from estimator.signals import accelerometer
 from tests.support.mujoco_leg import GRAVITY, Leg
 
 

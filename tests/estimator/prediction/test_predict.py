@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from estimator import FitOptions
+from estimator.model import joint1, leg2
 from estimator.prediction import (
     HORIZONS_S,
     FittedModel,

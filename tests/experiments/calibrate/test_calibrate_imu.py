@@ -6,21 +6,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.calibration.imu import AXES, StillRecord, calibrate_accel, calibrate_gyro
-from daq.errors import InputError, WorkError
-from daq.rig import Calibration, load_rig, parse_rig
-from daq.rig_text import set_values
-from daq.runs.mcap_run import RunWriter
-from daq.si_units import imu_columns
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.lsm9ds1_selftest import SelfTest
-from drivers.mock.clock import VirtualClock
+from daq import Calibration, InputError, WorkError, imu_columns, load_rig, parse_rig, set_values
+from daq.calibration import StillRecord, calibrate_accel, calibrate_gyro
+from daq.calibration.imu import AXES
+from daq.runs import RunWriter
+from drivers import ImuConfig, Lsm9ds1, SelfTest
+from drivers.mock import ImuSettings, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import ImuSettings
+from experiments.calibrate import store
 from experiments.calibrate.imu import record_still
-from experiments.calibrate.outcome import Outcome, store
+from experiments.calibrate.outcome import Outcome
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
 

@@ -6,17 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.calibration.knee_zero import Stop, friction_cone, hanging_zero, straight_zero
-from daq.errors import WorkError
-from daq.rig import load_rig
-from daq.runs.blocks import BLOCKS, Mean, mean_of
+from daq import WorkError, load_rig
+from daq.calibration import Stop, friction_cone, hanging_zero, straight_zero
+from daq.runs import BLOCKS, Mean, mean_of
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from experiments.emulation.plant import LegBody, LegPlant
-from experiments.models.model_file import save_model
-from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.emulation import LegBody
+from experiments.emulation.plant import LegPlant
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, save_model
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell

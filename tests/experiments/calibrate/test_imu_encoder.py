@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig, parse_rig
-from estimator.calibration.imu_encoder import EncoderFit, Segment, fit_imu
-from estimator.errors import FitError
-from experiments.calibrate.imu_encoder import compare, read_moving
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.excite.multisine import random_multisine
+from daq import load_rig, parse_rig
+from estimator import FitError
+from estimator.calibration import EncoderFit, Segment, fit_imu
+from experiments.calibrate import compare, read_moving
+from experiments.emulation import record_emulated
+from experiments.excite import random_multisine
 from studies.casebook import RIGS
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.paths import DEMO_RIG, REAL

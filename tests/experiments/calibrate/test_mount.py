@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from daq.rig import Calibration, load_rig
-from estimator.calibration.imu_mount import Readings, fit_mount
-from estimator.errors import FitError
+from daq import Calibration, load_rig
+from estimator import FitError
+from estimator.calibration import Readings, fit_mount
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.processes import REAL_CLOCK

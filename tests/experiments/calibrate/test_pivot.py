@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
-from daq.runs.mcap_run import RunWriter
+from daq import load_rig
+from daq.runs import RunWriter
 from experiments import cli
 from tests.support.motor_off_runs import RIG
 from tests.support.shell import Shell

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.errors import InputError
-from daq.rig import Calibration, load_rig, parse_rig
-from estimator.calibration.torque_constant import Weight
-from experiments.calibrate.torque_constant import calibrate_torque_constant, find_holds
+from daq import Calibration, Dataset, InputError, load_rig, parse_rig
+from estimator.calibration import Weight
+from experiments.calibrate import calibrate_torque_constant
+from experiments.calibrate.torque_constant import find_holds
 from experiments.workflows.diagnose import with_known_gain
 from tests.support.hold_runs import Truth, hold_run
 from tests.support.shell import Shell

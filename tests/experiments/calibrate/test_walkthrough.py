@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import load_rig
-from experiments.emulation.served_rig import ServedRig
+from daq import load_rig
+from experiments.emulation import ServedRig
 from tests.support.motor_off_runs import RIG
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK

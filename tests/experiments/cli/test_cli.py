@@ -11,23 +11,19 @@ from pkgutil import iter_modules
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan, write_plan
-from daq.rig import load_rig
-from daq.runs.csv_run import read_csv
-from daq.runs.mcap_run import read_run
-from drivers.errors import LinkLost
-from drivers.mock.clock import RealClock
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from estimator.errors import FitError
+from daq import WorkError, load_rig
+from daq.recording import Plan, write_plan
+from daq.runs import read_csv, read_run
+from drivers import LinkLost
+from drivers.mock import MockRig, PtyServer, RealClock
+from estimator import FitError
 from experiments import cli
 from experiments.cli.main import GROUPS
 from experiments.emulation.plant import LegPlant
-from experiments.excite.multisine import random_multisine
-from experiments.judge.found_model import model_of
+from experiments.excite import random_multisine
+from experiments.judge import model_of
+from experiments.models import save_model
 from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import save_model
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.rig import load_rig
-from daq.runs.csv_run import write_csv
-from estimator.diagnosis.result import Diagnosis
-from estimator.effects.stribeck_friction import StribeckFriction
-from estimator.model.mechanism import leg2
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS, NOTHING, LatePivot
-from experiments.emulation.plant import LegBody, LegPlant
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from daq import Dataset, load_rig
+from daq.runs import write_csv
+from estimator import Diagnosis
+from estimator.effects import StribeckFriction
+from estimator.model import leg2
+from experiments.emulation import EFFECTS, NOTHING, LegBody, record_emulated
+from experiments.emulation.hidden_effects import LatePivot
+from experiments.emulation.plant import LegPlant
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.diagnoses import synthetic
 from tests.support.models import LEG, write_model
 from tests.support.paths import DEMO_RIG as RIG

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from estimator.effects import library
-from estimator.model.mechanism import leg2
-from experiments.emulation.hidden_effects import EFFECTS
-from experiments.models.effect_library import effects_document, known_effects
+from estimator.model import leg2
+from experiments.emulation import EFFECTS
+from experiments.models import effects_document, known_effects
 from tests.support.paths import ROOT
 from tests.support.shell import Shell
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
+from daq import Dataset
+from daq.runs import write_csv
 from tests.support.models import write_model
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.shell import Shell

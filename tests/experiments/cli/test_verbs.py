@@ -11,7 +11,6 @@ import legid
 from experiments import cli
 from experiments.cli.command import Command, OneOf
 from tests.support.paths import FIXTURES, ROOT
-from tests.support.shell import Shell
 
 FOLDER = ROOT / "experiments/cli/commands"
 HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
@@ -74,12 +73,11 @@ def answer(path: Path) -> Any:
     return {k: v for k, v in found.items() if k != "wall_s"} | {"provenance": found["provenance"] | {"command": ""}}
 
 
-def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made_from(tmp_path: Path,
-                                                                                      shell: Shell) -> None:
+def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made_from(tmp_path: Path) -> None:
     model, shell, python = tmp_path / "model.json", tmp_path / "shell.json", tmp_path / "python.json"
 
     def same(found: Any, *words: object) -> Any:
-        shell(*words, "--json", shell, "--force")
+        assert cli.main([*map(str, words), "--json", str(shell), "--force"]) == 0
         python.unlink(missing_ok=True)
         found.to_json(python)
         assert answer(shell) == answer(python)

@@ -13,14 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.rig import Rig
-from daq.rig_devices import ControllerDevice
-from drivers.errors import DeviceAbsent
-from drivers.i2c_bus import open_bus
+from daq import ControllerDevice, Rig
+from drivers import DeviceAbsent, open_bus
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from experiments.doctor import bus, link, preflight

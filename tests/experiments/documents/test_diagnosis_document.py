@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import legid
-from estimator.diagnosis import Diagnosis as Details
+from estimator import Diagnosis as Details
 from experiments.documents import DiagnosisDocument
 from tests.support.diagnoses import synthetic
 from tests.support.earlier import FOLDER, earlier

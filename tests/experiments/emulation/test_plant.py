@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from experiments.emulation.plant import LegBody, LegPlant, LegState
+from experiments.emulation import LegBody
+from experiments.emulation.plant import LegPlant, LegState
 
 FREE = LegBody(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
 

@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.mcap_run import RawRun, read_run
-from daq.timing.align import recorded_rig
-from estimator.result import FitResult
+from daq.runs import RawRun, read_run
+from daq.timing import recorded_rig
+from estimator import FitResult
 from experiments import cli
-from experiments.emulation.plant import LegBody
-from experiments.emulation.replayed_run import replay_run
-from experiments.workflows.fit import fit_runs
+from experiments.emulation import LegBody, replay_run
+from experiments.workflows import fit_runs
 from tests.support.paths import FIXTURES
 from tests.support.sensor_bench import SensorBench
 from tests.support.shell import Shell

@@ -7,18 +7,16 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from daq.recording.plan import read_plan
-from daq.rig import load_rig
-from estimator import CAUSED, Verdict
+from daq import load_rig
+from daq.recording import read_plan
+from estimator import CAUSED, FitOptions, Verdict, fit
 from estimator.effects import PlanKind
-from estimator.fitting.fit import fit
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from estimator.model import leg2
 from experiments.cli import main
-from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Bench, merit
-from experiments.excite.session import chosen_for, next_choice, usual_choice
-from experiments.models import known_effects
-from experiments.models.model_file import load_model
+from experiments.excite import Bench, next_choice, usual_choice
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, merit
+from experiments.excite.session import chosen_for
+from experiments.models import known_effects, load_model
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell

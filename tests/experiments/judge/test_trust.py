@@ -11,27 +11,27 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from daq.rig import load_rig
-from estimator import Combination, Finding, FitOptions, fit
+from daq import load_rig
+from estimator import Combination, Finding, FitOptions, Trajectory, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
-from estimator.result import OmittedEffect, Trajectory
+from estimator.result import OmittedEffect
 from experiments import cli
 from experiments.documents import ComparisonDocument
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS, NOTHING
-from experiments.excite.multisine import random_multisine
-from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
-from experiments.judge.fit_checks import check_fit
-from experiments.judge.residuals import (
-    autocorrelation,
-    cross_correlation,
+from experiments.emulation import EFFECTS, NOTHING, record_emulated
+from experiments.excite import random_multisine
+from experiments.judge import (
+    Comparison,
+    HorizonError,
+    check_fit,
+    comparison_trust,
     fit_percent,
-    residuals_of,
-    torque_autocorrelation,
+    fit_trust,
+    validation_trust,
 )
-from experiments.judge.trust import fit_trust, validation_trust
-from experiments.reports.comparison import comparison_sections, comparison_text
+from experiments.judge.residuals import autocorrelation, cross_correlation, residuals_of, torque_autocorrelation
+from experiments.reports import comparison_text
+from experiments.reports.comparison import comparison_sections
 from experiments.reports.html import render_page
 from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record

@@ -7,9 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from daq.errors import InputError
-from daq.recording.remote import PACKET_BYTES, Ended, Heard, Status, watched_by
-from drivers.errors import DeviceAbsent, DeviceBusy
+from daq import InputError
+from daq.recording import PACKET_BYTES, Ended, Heard, Status, watched_by
+from drivers import DeviceAbsent
+from drivers.errors import DeviceBusy
 from experiments.live.access import Access, is_loopback
 from experiments.live.session import Phase, Session
 from tests.support.shell import Shell

@@ -11,15 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.rig import parse_rig
+from daq import InputError, parse_rig
+from estimator import RunAgreement
 from estimator.model import leg2
-from estimator.result import RunAgreement
-from experiments.judge.found_model import model_of
-from experiments.models.mechanism_settings import build_mechanism, mechanism_settings
-from experiments.models.model_file import load_model, save_model
-from experiments.models.schema import MechanismSettings, Model
-from experiments.models.with_effects import widening_of
+from experiments.judge import model_of
+from experiments.models import MechanismSettings, Model, build_mechanism, load_model, save_model, widening_of
+from experiments.models.mechanism_settings import mechanism_settings
 from experiments.reports.fit_text import noise_rows
 from experiments.session.setup import choose_sensors
 from experiments.workflows.compare import parameter_pairs

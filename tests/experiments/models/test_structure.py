@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import legid
-from daq.errors import InputError
-from daq.recording.plan import read_plan
-from estimator.diagnosis import Diagnosis
+from daq import InputError
+from daq.recording import read_plan
+from estimator import Diagnosis
 from experiments.documents import DiagnosisDocument, finite, learnt_of
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
-from experiments.models.model_file import load_model, save_model
-from experiments.models.schema import JointTorque, Model, StructureValues, TableInput, TorqueTable
-from experiments.models.structure import laws_of, structure_values
+from experiments.models import Model, TorqueTable, load_model, save_model, structure_values
+from experiments.models.schema import JointTorque, StructureValues, TableInput
+from experiments.models.structure import laws_of
 from experiments.reports.structure import structure_section, structure_words
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet

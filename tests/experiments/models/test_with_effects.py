@@ -8,16 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.recording.plan import write_plan
+from daq import InputError
+from daq.recording import write_plan
 from estimator.effects import classes
 from estimator.effects.encoder_scale import EncoderScale
+from experiments.emulation import LegBody
 from experiments.emulation.hidden_effects import DRAG, REST_RAD, SPRING_NM
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model, save_model, values_of
-from experiments.models.schema import EffectValue
-from experiments.models.with_effects import effect_value, effects_of
+from experiments.excite import random_multisine
+from experiments.models import EffectValue, effect_value, effects_of, load_model, save_model, values_of
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.shell import Shell

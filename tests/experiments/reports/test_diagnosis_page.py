@@ -9,15 +9,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from estimator import Verdict
-from estimator.diagnosis.result import Diagnosis, Remainder, SensorGain, ShortRuns
+from estimator import Diagnosis, Verdict
+from estimator.diagnosis import Remainder, SensorGain, ShortRuns
 from estimator.model import leg2
 from experiments.documents import DiagnosisDocument
-from experiments.reports.diagnosis_figures import signature_limits
-from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
-from experiments.reports.diagnosis_text import diagnosis_text, key_label
-from experiments.reports.figures import axis_label
-from experiments.reports.html import Section, render_page, typeset
+from experiments.reports import Section, axis_label, diagnosis_sections, key_label, signature_limits, write_diagnosis
+from experiments.reports.diagnosis_text import diagnosis_text
+from experiments.reports.html import render_page, typeset
 from tests.support.diagnoses import synthetic
 from tests.support.pages import Outside, allowed_script
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.runs.mcap_run import RunWriter
+from daq.runs import RunWriter
 from estimator import VERDICTS, Verdict
 from experiments.cli import main
 from tests.support.shell import Shell

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import load_rig
+from daq import load_rig
 from drivers import drive_rate_hz, i2c_bus
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
 from experiments.doctor import preflight
 from experiments.rig import discovery
 from tests.support.processes import REAL_CLOCK

@@ -13,11 +13,9 @@ from msgspec import structs
 
 import legid
 from daq import load_rig
-from daq.recording.plan import Plan
+from daq.recording import Plan
 from experiments.cli import main
-from experiments.models.effect_library import known_effects
-from experiments.models.model_file import load_model, save_model
-from experiments.models.schema import EffectValue
+from experiments.models import EffectValue, known_effects, load_model, save_model
 from tests.support.exported_models import EFFECTS
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg

@@ -13,10 +13,9 @@ import pytest
 from msgspec import structs
 
 from daq import InputError
-from experiments.models import load_model, save_model
-from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
-from experiments.simulators import ExportedLeg, simulator_files
-from experiments.simulators.mujoco_runs import require_mujoco
+from experiments.models import TorqueTable, load_model, save_model
+from experiments.models.schema import JointTorque, StructureValues, TableInput
+from experiments.simulators import ExportedLeg, require_mujoco, simulator_files
 from experiments.simulators.parts import ADDED, HELD, LEFT, OF_LOOP, parts_of
 from tests.support.exported_models import (
     EFFECTS,

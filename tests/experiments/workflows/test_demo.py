@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from experiments import cli
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.pages import allowed_script
 from tests.support.shell import Shell
 

@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import InputError, WorkError
+from daq import InputError, WorkError
 from evidence.blind.stickslip import MAKERS
-from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
+from experiments.workflows import choose_executor
+from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor
+from studies.biped3 import CASES, FLOOR, blocks
 from studies.biped3.store import load_block
-from studies.biped3.study import CASES, FLOOR, blocks, run_block
+from studies.biped3.study import run_block
 from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell
 

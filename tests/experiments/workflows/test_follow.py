@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from daq import Dataset, InputError, parse_rig
-from daq.runs import read_csv
-from daq.runs.csv_run import write_csv
+from daq.runs import read_csv, write_csv
 from estimator import LoopTerm
 from estimator.model import leg2
 from experiments.models import load_model
-from experiments.workflows.follow import follow_commands
+from experiments.workflows import follow_commands
 from experiments.workflows.loop_values import loop_findings
 from tests.support.models import LEG as SETTINGS
 from tests.support.models import write_model

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from estimator import FitOptions, fit
 from estimator.model import leg2
 from experiments.cli import main
-from experiments.judge.friction_form import friction_shares
+from experiments.judge import friction_shares
 from tests.support.free_swing import swing
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.shell import Shell

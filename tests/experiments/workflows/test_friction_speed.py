@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from daq import load_rig
+from experiments.emulation import EFFECTS, record_emulated
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.shell import Shell
 

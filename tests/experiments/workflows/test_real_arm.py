@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import parse_rig
-from estimator.calibration.encoder_zeros import find_differing, find_zeros, subtract
+from daq import parse_rig
+from estimator.calibration import find_differing, find_zeros, subtract
 from estimator.prediction import FittedModel, predict
 from experiments.session import load_runs, setup_of
-from experiments.workflows.fit import fit_runs
+from experiments.workflows import fit_runs
 from tests.support.paths import REAL as DATA
 from tests.support.shell import Shell
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.rig import load_rig, parse_rig
+from daq import load_rig, parse_rig
 from daq.runs import write_csv
 from experiments.session import with_choices
 from experiments.workflows import tune_runs
