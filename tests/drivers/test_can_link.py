@@ -62,7 +62,6 @@ def test_a_reboot_is_noticed_by_the_heartbeat_though_its_hello_was_lost() -> Non
     end = clock.now_ns() + 150_000_000
     while clock.now_ns() < end:
         controller.poll()
-    assert controller.hello is not None
     assert controller.hello.boot_id == rig.firmware.boot_id
     assert controller.stats.reboots == 1
 

@@ -37,7 +37,6 @@ def test_a_second_program_is_refused_chip_and_node_until_the_first_is_killed(tmp
     with I2cServer(MockRig(StillPlant()).imu, tmp_path / "i2c") as server:
         child = subprocess.Popen([sys.executable, "-c", HOLDER, server.path, channel], stdin=subprocess.PIPE,
                                  stdout=subprocess.PIPE, text=True, cwd=ROOT)
-        assert child.stdout is not None
         assert child.stdout.readline() == "held\n"
         imu = Lsm9ds1(open_bus(server.path), config=ImuConfig(238.0))
         with pytest.raises(DeviceBusy, match="another program reads the chip"):

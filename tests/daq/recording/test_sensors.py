@@ -123,6 +123,5 @@ def test_a_pivot_sensor_that_disagrees_with_the_gyro_fails_its_check() -> None:
 
 def test_tables_of_the_rig_file() -> None:
     rig = parse_rig(RIG.replace("[limits]\n", TABLES))
-    assert rig.devices.pivot is not None and rig.devices.shunt is not None
     assert (rig.devices.pivot.sign, rig.devices.pivot.address, rig.devices.shunt.kind) == (-1, 0x36, "ina228")
     assert math.isclose(rig.calibration.pivot_zero_rad, 0.4)

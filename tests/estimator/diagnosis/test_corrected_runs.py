@@ -43,7 +43,6 @@ def result_of(context: DiagnosisContext) -> Corrected | None:
 def test_all_small_faults_are_found_together_and_the_readings_are_without_them() -> None:
     context = context_of(tuple(SMALL.items()))
     found = result_of(context)
-    assert found is not None
     sizes = {f"{one.effect.key}.{size.name}": float(value)
              for one in found.faults for size, value in zip(one.effect.sizes, one.size, strict=True)}
     named = {"gyro_scale": "gyro_scale.scale_error", "accelerometer_bias.x": "accelerometer_bias.bias_x",

@@ -190,7 +190,6 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     moved = replace(state, x=replace(x, q=x.q + 0.05 * np.sin(7.0 * grid)[:, None]))  # where a guess may well stand
     moved.x.q[0] = x.q[0]
     run = free_run(problem, moved, driven)
-    assert run is not None
     # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
     assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
 
@@ -218,7 +217,6 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     noise = Noise(np.array([0.1]), np.array([1e-3]), np.ones(1), np.ones((1, 2)))
     state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))
     run = free_run(problem, state, volts[:, None])
-    assert run is not None
     assert np.abs(run.q[:, 0] - truth[0]).max() < 0.06 * np.ptp(truth[0])
     wrong = replace(state, beta=state.beta * np.array([1.0, 1.0, 1.0, 0.5, 1.0]))
     whole, short = (free_run(problem, wrong, volts[:, None], horizon) for horizon in (np.inf, 0.2))

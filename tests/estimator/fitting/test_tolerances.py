@@ -39,7 +39,6 @@ def test_parts_add_up_and_the_largest_is_the_torque_constant(count: int) -> None
     leg, runs = recorded(11, count)
     result = fitted(leg, runs, DEFAULTS)
     budget = result.budget
-    assert budget is not None
     assert np.sum([part.covariance for part in budget.parts], axis=0) == pytest.approx(result.covariance, rel=1e-6)
     gain = budget.part("torque_gain")
     assert gain is not None and gain.tolerance == (0.05,)
@@ -68,7 +67,6 @@ def test_a_parameter_that_is_known_tells_the_torque_constant() -> None:
     known = {"beta5": float(leg.beta()[4])}
     free = fitted(leg, runs, DEFAULTS).budget
     told = fitted(leg, runs, replace(DEFAULTS, fixed=known)).budget
-    assert free is not None and told is not None
     before, after = free.part("torque_gain"), told.part("torque_gain")
     assert before is not None and after is not None and after.std[0] < 0.3 * before.std[0]
 
@@ -85,7 +83,6 @@ def test_a_gyro_within_its_tolerance_is_learnt_where_the_runs_show_it() -> None:
 def test_stated_tolerances_go_before_the_defaults() -> None:
     leg, runs = recorded(16, 1)
     small = fitted(leg, runs, FitOptions(tolerances={"torque_gain": (0.001,), "none": ()}))
-    assert small.budget is not None
     assert [part.source for part in small.budget.parts if part.source not in ("noise", "scatter")] == ["torque_gain"]
     one = fitted(leg, runs, FitOptions(tolerances={"joint_stiffness@2": (0.2,), "none": ()})).budget
     assert one is not None and one.part("joint_stiffness@2") is not None and one.part("joint_stiffness@1") is None

@@ -98,7 +98,6 @@ def test_pieces_simulated_together_are_those_simulated_one_by_one(
         together = free_run(problem, state, torque, 0.1)
     plant = _Plant(problem, state, torque)
     nothing = np.zeros((2, 2, problem.left.size))
-    assert together is not None
     for where in pieces(problem, 0.1):
         start = given.q[where.start], given.v[where.start]
         q, v = plant.run(where, given.q, given.v, start, nothing)
@@ -209,7 +208,6 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
     noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), np.ones(1), np.full((1, 2), 20.0))
     x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
     point = problem.linearise(x, beta, noise)
-    assert point.extra is not None
     gradient = point.chain.right[:, :, 0]
     for k in (0, 7, 31, count - 1):
         step = np.zeros((count, problem.block))

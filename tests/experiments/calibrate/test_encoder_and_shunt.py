@@ -13,7 +13,7 @@ from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
 from experiments.emulation import LegBody
 from experiments.emulation.plant import LegPlant
-from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, save_model
+from tests.support.models import LEG, write_model
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
@@ -143,13 +143,7 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
 
     body = LegBody()
-    names = ["beta1", "beta2", "beta3", "beta4", "beta5", "beta6", "beta7", "beta8", "beta9"]
-    model = Model(schema="legid.model/1", mechanism=MechanismSettings(model="leg2", actuated=(2,)),
-                  parameters=tuple(ParameterValue(name=n, meaning="", unit="", value=v)
-                                   for n, v in zip(names, body.beta())),
-                  covariance=tuple(tuple(0.0 for _ in names) for _ in names), noise={}, hold="linear",
-                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
-    save_model(model, tmp_path / "model.json")
+    write_model(tmp_path / "model.json", list(body.beta()), LEG)
     shell("calibrate encoder", *paths[:2], "--rig", rig, "--model", tmp_path / "model.json")
     cone = np.arcsin(body.coulomb[1] / (body.m2 * body.c2 * G))
     assert f"the model's friction of +- {cone:.3f} rad" in shell.out

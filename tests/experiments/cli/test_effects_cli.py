@@ -60,7 +60,6 @@ def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: p
     text = PAGE.read_text()
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     value = re.search(r'\[project\.entry-points\."legid\.effects"\]\n\w+ = "(.*?)"', text)
-    assert value is not None
     module = value.group(1).partition(":")[0]
     install(tmp_path, module, code, value.group(1), monkeypatch)
     kind = list(known_effects().values())[-1]

@@ -183,7 +183,6 @@ def test_the_port_in_other_hands_or_missing(bench: Bench) -> None:
     port = bench.rig.read_text().split('port = "')[1].split('"')[0]
     child = subprocess.Popen([sys.executable, "-c", f"f = open({port!r}, 'rb'); print(flush=True); input()"],
                              stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert child.stdout is not None
     child.stdout.readline()
     try:
         assert f"({child.pid})" in bench.fails("exclusive use")

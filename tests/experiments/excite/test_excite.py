@@ -108,7 +108,6 @@ def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> 
     t = np.arange(plan.size) / RATE_HZ
     edges = np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0, 1)
     chirp = bench.sized(edges * np.sin(2 * np.pi * (0.1 * t + 4.9 * t**2 / (2 * SECONDS))), 0.8)
-    assert chirp is not None
     fitted, predicted = [], []
     for tau in (chirp.torque_nm, plan):
         run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")

@@ -73,7 +73,6 @@ def test_mechanism_comes_back_with_its_settings() -> None:
 def test_friction_is_rounded_off_over_one_speed_where_nothing_is_said() -> None:
     """In a rig file, a model file and the estimator, as the page states."""
     stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "docs" / "rig.md").read_text())
-    assert stated is not None
     rig = mechanism_settings(parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]')).friction_velocity_radps
     model = MechanismSettings(model="leg2", actuated=(2,)).friction_velocity_radps
     assert rig == model == leg2().velocity_scale == float(stated.group(1))
@@ -111,7 +110,6 @@ def test_intervals_that_runs_widened_are_kept(tmp_path: Path) -> None:
     assert widening_of(kept)[:8] == pytest.approx([4.0 / 1.959964] * 8) and widening_of(without) == [1.0] * p
     pairs = parameter_pairs((kept, without))
     for k, pair in enumerate(pairs):
-        assert pair.a is not None and pair.b is not None
         assert (pair.a.low, pair.a.high) == pytest.approx(wide.ci95()[k])
         assert pair.b.high - pair.b.low == pytest.approx(2 * 1.959964 * plain.std[k])
 

@@ -218,7 +218,6 @@ def test_what_rings_at_rest_does_not_set_the_axis() -> None:
         result = at_rest_first(ringing)
         (section,) = [s for s in fit_sections(document_of(result), result) if s.title == "Torques"]
         for j, picture in enumerate(section.pictures):
-            assert picture.chart is not None
             lines = {line.label: line.values for line in picture.chart.lines}
             known, faint = lines["model (mle)"], lines["model near rest, not known"]
             assert np.isnan(known[:200]).all() and np.isfinite(faint[:200]).all()

@@ -48,7 +48,6 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: She
     assert rig.devices.imu is not None and rig.devices.imu.bus == "/dev/i2c-1"
     assert rig.motor.gear_ratio == 50.0
     assert rig.calibration.torque_constant_nm_per_a == 0.85
-    assert rig.devices.controller is not None
     assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == ("/dev/ttyUSB3", 1000.0)
     limits = rig.limits
     assert (limits.torque_nm, limits.speed_radps, limits.q1_rad, limits.q2_rad) == (1.5, 12.0, 1.6, 2.2)
@@ -80,7 +79,6 @@ def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]], shell
     rig = load_rig(path)
     assert (rig.mechanism.model, rig.mechanism.links, rig.mechanism.actuated) == ("chain", 3, (2, 3))
     assert rig.devices.imu is None
-    assert rig.devices.controller is not None
     assert rig.devices.controller.can == {"interface": "socketcan", "channel": "can0"}
     assert rig.devices.controller.node == 5
 
@@ -90,7 +88,6 @@ def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]], s
     answers("", "", "", "0.2", "", "6", "motor", "moteus", "moteus", "/dev/fdcanusb", "3", "0.5", "", "2", "", "", "")
     shell("init", path)
     controller, text, out = load_rig(path).devices.controller, path.read_text(), shell.out
-    assert controller is not None
     assert (controller.kind, controller.port, controller.node) == ("moteus", "/dev/fdcanusb", 3)
     assert controller.rate_hz == drive_rate_hz("moteus")
     assert "motor is none of" in out and "moteus is no place: give a serial port" in out
@@ -161,7 +158,6 @@ def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pyte
     out = shell.out
     assert "no such bus" in out and "no such port" in out and "LSM9DS1 at 0x6A" in out
     rig = load_rig(path)
-    assert rig.devices.imu is not None and rig.devices.controller is not None
     assert (rig.devices.imu.bus, rig.devices.imu.address) == ("/dev/i2c-7", 0x6A)
     assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == (port, 250.0)
     assert (rig.motor.gear_ratio, rig.limits.torque_nm) == (36.0, 1.25)

@@ -239,7 +239,6 @@ def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, sh
     passive, driven = ET.parse(out).getroot().findall("joint")
     assert passive.get("type") == driven.get("type") == "revolute" and passive.find("safety_controller") is None
     bound, keeper = driven.find("limit"), driven.find("safety_controller")
-    assert bound is not None and keeper is not None
     assert (float(bound.get("effort", 0)), float(bound.get("upper", 0))) == (limits.torque_nm, limits.q2_rad)
     speed, k_position = float(bound.get("velocity", 0)), float(keeper.get("k_position", 0))
     assert speed == limits.speed_radps and k_position * speed == pytest.approx(limits.stop_radps2)
