@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, Telemetry
+from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
@@ -114,6 +114,8 @@ def test_unplugged_and_plugged_in_again_the_drive_is_off_and_the_loss_is_counted
     with pytest.raises(LinkLost):
         controller.poll()
     clock.sleep(0.3)
+    rig.advance_to(clock.now_ns())
+    assert rig.firmware.drive.state == State.FAULT
     link.replug()
     hello = controller.open()  # stops first
     assert hello.boot_id == rig.firmware.boot_id

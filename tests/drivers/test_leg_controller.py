@@ -211,17 +211,6 @@ def test_firmware_that_does_not_know_timed_commands_gets_plain_ones() -> None:
     assert link.written[2:] == [encode(TorqueCommand(0, 0.25)), encode(TimedCommand(1, 0.25, 77))]
 
 
-def test_unplugged_is_link_lost_and_the_watchdog_stops_the_motor(driven: Bench) -> None:
-    driven.link.unplug()
-    with pytest.raises(LinkLost):
-        driven.controller.poll()
-    with pytest.raises(LinkLost):
-        driven.controller.command(0.1)
-    driven.controller.close()
-    assert driven.acting_after(0.12).max() < 1e-6
-    assert driven.rig.firmware.drive.state == State.FAULT
-
-
 def test_arming_over_a_latched_fault_is_refused_by_name(driven: Bench) -> None:
     driven.run(0.2)  # nobody feeds the watchdog
     with pytest.raises(DeviceFault, match=r"watchdog; .*; then legid doctor --clear-faults"):
