@@ -10,23 +10,13 @@ import pytest
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
-from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.mujoco_leg import Leg, recorded, scaled
 
 DEFAULTS = FitOptions(tolerances={})
 
 
-def recorded(seed: int, count: int, seconds: float = 10.0) -> tuple[Leg, list[Dataset]]:
-    rng = np.random.default_rng(seed)
-    leg = random_leg(rng)
-    return leg, [record(leg, rng, seconds=seconds, name=f"run{k}") for k in range(count)]
-
-
 def fitted(leg: Leg, runs: list[Dataset], options: FitOptions) -> FitResult:
     return fit(runs, leg2(lever_arm=leg.lever), options)
-
-
-def changed(runs: list[Dataset], column: str, factor: float) -> list[Dataset]:
-    return [replace(run, columns={**run.columns, column: factor * run[column]}) for run in runs]
 
 
 def held(result: FitResult, leg: Leg) -> int:
@@ -56,7 +46,7 @@ def test_without_tolerances_a_fit_is_what_it_was() -> None:
 
 def test_a_wrong_torque_constant_within_its_tolerance_stays_within_the_intervals() -> None:
     leg, runs = recorded(13, 1)
-    wrong = changed(runs, "tau2_nm", 1.06)
+    wrong = scaled(runs, "tau2_nm", 1.06)
     assert held(fitted(leg, wrong, FitOptions()), leg) < 5
     assert held(fitted(leg, wrong, DEFAULTS), leg) == 9
 
@@ -73,7 +63,7 @@ def test_a_parameter_that_is_known_tells_the_torque_constant() -> None:
 
 def test_a_gyro_within_its_tolerance_is_learnt_where_the_runs_show_it() -> None:
     leg, runs = recorded(15, 3)
-    wrong = changed(runs, "gyro_radps", 1.01)
+    wrong = scaled(runs, "gyro_radps", 1.01)
     tolerances = {"torque_gain": (0.0,)}
     plain, moved = fitted(leg, wrong, FitOptions()), fitted(leg, wrong, FitOptions(tolerances=tolerances))
     far = [float(np.abs(one.beta / leg.beta() - 1.0)[:5].max()) for one in (plain, moved)]

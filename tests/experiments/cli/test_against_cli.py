@@ -16,6 +16,7 @@ from experiments.session import prepare
 from experiments.workflows import as_reference
 from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.models import write_model
+from tests.support.packed_runs import stuck
 from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
 from tests.support.shell import Shell
@@ -28,10 +29,7 @@ ARM = REAL / "dfki_a0"
 def test_an_unchanged_arm_against_a_folder(tmp_path: Path, shell: Shell) -> None:
     for run in ("00", "02", "12"):
         shutil.copy(ARM / f"{run}.csv.gz", tmp_path)
-    rows = [line.split(",") for line in gzip.decompress((ARM / "02.csv.gz").read_bytes()).decode().splitlines()]
-    stuck = rows[0].index("q2_rad")
-    lines = [",".join([*row[:stuck], "0.3" if n else row[stuck], *row[stuck + 1 :]]) for n, row in enumerate(rows)]
-    (tmp_path / "bad.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    stuck(ARM / "02.csv.gz", tmp_path / "bad.csv.gz")
     out = tmp_path / "change.json"
     runs = [str(ARM / f"{run}.csv.gz") for run in ("01", "03")]
     shell("diagnose", *runs, "--against", tmp_path, "--rig", RIG, "--json", out)
