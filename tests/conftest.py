@@ -6,8 +6,12 @@ import gc
 import os
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from tests.support.shell import Shell
 
 HERE = Path(__file__).parent
 UNKNOWN: set[str] = set()
@@ -40,6 +44,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def unknown_cases(pytestconfig: pytest.Config) -> set[str]:
     """Names in tests/tiers.toml that no test has; empty where not all tests are collected."""
     return UNKNOWN if [Path(arg).resolve() for arg in pytestconfig.args] == [HERE] else set()
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
+    """Types commands and reads what they say."""
+    from tests.support.shell import Shell
+
+    return Shell(capsys)
 
 
 @pytest.fixture(scope="session")

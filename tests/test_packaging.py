@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.emulation.plant import LegBody
+from experiments.emulation import LegBody
 from tests.support.models import LEG, write_model
 from tests.support.paths import DEMO_RIG, ROOT
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import InputError
-from daq.files import kind_of_bytes, new_run, replacing_anything, write_file
+from daq import InputError, replacing_anything, write_file
+from daq.files import kind_of_bytes, new_run
 from tests.support.paths import DEMO_RIG, ROOT
 
 OURS = b'{\n  "schema": "legid.fit/1",\n  "model": "leg2"\n}\n'

@@ -21,7 +21,6 @@ def test_a_drive_that_makes_torque() -> None:
 def test_a_motor_on_voltage_brakes_by_its_back_emf_and_is_limited_by_its_current() -> None:
     rig = parse_rig(RIG + "gain = 2.0\nresistance_ohm = 4.0\ntorque_constant_nm_per_a = 0.4\nsupply_v = 8.0\n"
                     "current_a = 1.5\n")
-    assert rig.servo is not None
     loop = rig.servo.loop(0, False)
     assert loop.limit == 1.0  # duty
     duty, rate = loop.wanted(np.array([0.2, 2.0]), np.zeros(2)), np.array([3.0, -6.0])

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import InputError
-from daq.rig import joint_count, load_rig, parse_rig
+from daq import InputError, joint_count, load_rig, parse_rig
 
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from daq.rig import Mechanism, Rig, parse_rig
-from daq.rig_devices import ControllerDevice, Devices, ImuDevice, PivotDevice, ShuntDevice
+from daq import ControllerDevice, Devices, ImuDevice, Mechanism, PivotDevice, Rig, ShuntDevice, parse_rig
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"

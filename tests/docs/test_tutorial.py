@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.emulation.hidden_effects import EFFECTS, REST_RAD, SPRING_NM
-from experiments.emulation.plant import LegBody
+from experiments.emulation import EFFECTS, LegBody
+from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from tests.support.paths import ROOT
 from tests.tools.tutorial import INSTALL, PAGE, POSITIONS, Block, blocks, run_blocks, shortened
 

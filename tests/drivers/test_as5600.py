@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from drivers.as5600 import COUNTS, MD, MH, ML, As5600
-from drivers.errors import DeviceAbsent, DeviceFault
-from drivers.mock.as5600 import MockAs5600
-from drivers.mock.clock import VirtualClock
-from drivers.mock.settings import PivotSettings
+from drivers import As5600, DeviceAbsent
+from drivers.as5600 import COUNTS, MD, MH, ML
+from drivers.errors import DeviceFault
+from drivers.mock import MockAs5600, PivotSettings, VirtualClock
 from tests.support.circuitpython import Busio
 
 QUIET = PivotSettings(noise_rad=0.0)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers import FaultReport, Hello, Message, Pong, Reaction, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.protocol import (
@@ -15,18 +16,11 @@ from drivers.protocol import (
     Decoder,
     DriveLimits,
     Fault,
-    FaultReport,
     Feature,
-    Hello,
     HelloRequest,
     LimitsRequest,
-    Message,
     Ping,
-    Pong,
-    Reaction,
-    State,
     Stop,
-    Telemetry,
     TimedCommand,
     TorqueCommand,
     encode,

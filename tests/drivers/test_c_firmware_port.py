@@ -5,14 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.drive import Received
+from drivers import LegController, Pong, Received, State
 from drivers.errors import DeviceFault
-from drivers.leg_controller import LegController
-from drivers.protocol import (
-    Fault,
-    Pong,
-    State,
-)
+from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from tests.support.c_firmware import (
     Served,
@@ -44,7 +39,6 @@ def test_the_driver_works_with_it_over_a_port(served: Served) -> None:
             time.sleep(0.01)
             received += controller.poll()
         assert controller.armed
-        assert controller.telemetry is not None
         assert controller.telemetry.current_a == 0.5
         for message, host_ns, _ in received:
             if isinstance(message, Pong):

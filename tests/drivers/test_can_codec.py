@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers import FaultReport, Hello, Message, Pong, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
-from drivers.protocol import FaultReport, Heartbeat, Hello, Message, Ping, Pong, Stop, Telemetry, TorqueCommand
+from drivers.protocol import Ping, TorqueCommand
 
 TELEMETRY = Telemetry(7, 4000, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
 HELLO = Hello(1, 0x1234ABCD, 500, 50.0, 2.0, 1000)
@@ -33,8 +34,8 @@ def test_any_telemetry_comes_back(seq: int, tick: int, faults: int, knee: float,
 
 
 @pytest.mark.parametrize("message", [
-    HELLO, replace(HELLO, gear_ratio=math.nan), Pong(1, 2**32 - 5, 15), FaultReport(77, 1 << 8, 3 << 8, math.nan),
-    FaultReport(2**32 - 1, 1, 1, 100.25), Heartbeat(9, 2, 5), Stop(), TorqueCommand(3, -0.5), Ping(4)], ids=str)
+    replace(HELLO, gear_ratio=math.nan), Pong(1, 2**32 - 5, 15), FaultReport(77, 1 << 8, 3 << 8, math.nan),
+    FaultReport(2**32 - 1, 1, 1, 100.25)], ids=str)
 def test_messages_come_back(message: Message) -> None:
     assert [str(m) for m in CanCodec(5).feed(frames(message, node=5))] == [str(message)]
 

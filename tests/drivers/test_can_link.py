@@ -12,32 +12,19 @@ import can
 import numpy as np
 import pytest
 
+from drivers import DeviceAbsent, LegController, LinkLost, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
-from drivers.errors import DeviceAbsent, LinkLost
-from drivers.leg_controller import LegController
-from drivers.mock.can_server import CanServer
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from drivers.mock import CanServer, EmulatorLink, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import Pong, State, Stop, Telemetry
+from drivers.protocol import Stop
+from tests.support.leg_on_a_link import drive, is_stopped, ping
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
 
-PATIENCE_S = 10.0
 channels = (f"legid-{os.getpid()}-{n}" for n in itertools.count())
-
-
-def poll_until(controller: LegController, wanted) -> list:
-    received, deadline = [], time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        received += controller.poll()
-        if wanted(received):
-            return received
-    raise AssertionError("it did not come")
 
 
 def test_on_virtual_time_nothing_is_lost() -> None:
@@ -75,7 +62,6 @@ def test_a_reboot_is_noticed_by_the_heartbeat_though_its_hello_was_lost() -> Non
     end = clock.now_ns() + 150_000_000
     while clock.now_ns() < end:
         controller.poll()
-    assert controller.hello is not None
     assert controller.hello.boot_id == rig.firmware.boot_id
     assert controller.stats.reboots == 1
 
@@ -104,21 +90,10 @@ def server(rig: MockRig, bus: dict) -> Iterator[CanServer]:
 
 def test_handshake_telemetry_torque_and_ping(rig: MockRig, server: CanServer, bus: dict) -> None:
     with LegController(CanLink(3, **bus), codec=CanCodec(3)) as controller:
-        assert controller.open().boot_id == rig.firmware.boot_id
-        controller.arm(1000)
-        controller.command(0.5)
-        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
-        ping_id, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
-        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
-        assert pong.ping_id == ping_id
-        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
-        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60
+        drive(controller, rig)
+        ping(controller, rig)
         assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.unknown == 0
-    deadline = time.monotonic() + PATIENCE_S
-    while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
-        time.sleep(0.005)
-    assert rig.firmware.drive.state == State.DISARMED
+    is_stopped(rig)
 
 
 def test_another_node_does_not_answer() -> None:
@@ -243,15 +218,10 @@ def test_a_serial_can_adapter_carries_it_too(rig: MockRig) -> None:
         config: dict[str, Any] = {"interface": "slcan", "channel": adapter.path, "bitrate": 1_000_000,
                                   "sleep_after_open": 0.0}
         with LegController(CanLink(3, **config), codec=CanCodec(3)) as controller:
-            assert controller.open(PATIENCE_S).boot_id == rig.firmware.boot_id
-            controller.arm(1000)
-            controller.command(0.5)
-            poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+            drive(controller, rig)
         assert "S8" in adapter.commands  # 1 Mbit/s
         assert "O" in adapter.commands
-        deadline = time.monotonic() + PATIENCE_S
-        while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
-            time.sleep(0.005)
+        is_stopped(rig)
         assert rig.firmware.drive.torque_nm == 0.0
     finally:
         adapter.close()

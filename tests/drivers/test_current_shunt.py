@@ -4,11 +4,10 @@ from typing import Any
 
 import pytest
 
-from drivers.current_shunt import AVERAGES, CHIPS, RAIL, STALE, CurrentShunt
-from drivers.errors import DeviceAbsent, DeviceFault
-from drivers.mock.clock import VirtualClock
-from drivers.mock.current_shunt import MockShunt
-from drivers.mock.settings import ShuntSettings
+from drivers import CHIPS, CurrentShunt, DeviceAbsent
+from drivers.current_shunt import AVERAGES, RAIL, STALE
+from drivers.errors import DeviceFault
+from drivers.mock import MockShunt, ShuntSettings, VirtualClock
 from tests.support.circuitpython import Busio
 
 KINDS = sorted(CHIPS)

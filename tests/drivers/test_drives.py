@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import DeviceAbsent, DriverError, FaultReport, State, attach, drive_kinds, open_drive
-from drivers.errors import DeviceFault, LinkLost
+from drivers import DeviceAbsent, DriverError, FaultReport, LinkLost, State, attach, drive_kinds, open_drive
+from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
 from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault
-from tests.support.drive_bench import CONSTANT, DriveBench, states, telemetry
+from tests.support.drive_bench import CONSTANT, DriveBench, driven, opened, states, telemetry
 
 NEVER_ON = ["feetech"]
 """Drives that legid reads and does not arm."""
@@ -38,8 +38,7 @@ def test_every_drive_has_an_emulator_and_says_what_it_lacks(any_kind: str) -> No
 
 @pytest.mark.parametrize("kind", NEVER_ON)
 def test_a_drive_without_a_watchdog_never_turns(kind: str) -> None:
-    bench = DriveBench(kind)
-    bench.drive.open()
+    bench = opened(kind)
     for _ in range(2):
         with pytest.raises(DeviceFault, match="has no watchdog, so a lost host would leave the torque on"):
             bench.drive.arm(100)
@@ -70,9 +69,7 @@ def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
 
 
 def test_a_motor_that_turns_is_stopped_on_opening(kind: str) -> None:
-    bench = DriveBench(kind)
-    bench.armed(1000)
-    bench.run(0.05, 1.0)
+    bench = driven(kind)
     assert bench.far.torque_nm != 0.0
     again = attach(kind, bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
     again.open()
@@ -83,9 +80,7 @@ def test_a_motor_that_turns_is_stopped_on_opening(kind: str) -> None:
 
 @pytest.mark.parametrize("way", ["stop", "close", "clear_faults"])
 def test_nothing_turns_after(kind: str, way: str) -> None:
-    bench = DriveBench(kind)
-    bench.armed(1000)
-    bench.run(0.05, 1.0)
+    bench = driven(kind)
     getattr(bench.drive, way)()
     if way != "close":
         bench.drive.command(1.0)  # from another thread, too late
@@ -98,9 +93,7 @@ def test_nothing_turns_after(kind: str, way: str) -> None:
 
 @pytest.mark.parametrize("torque", [2.5, -2.5, math.nan, math.inf])
 def test_a_torque_beyond_the_limit_stops_the_motor(kind: str, torque: float) -> None:
-    bench = DriveBench(kind)
-    bench.armed(1000)
-    bench.run(0.05, 1.0)
+    bench = driven(kind)
     with pytest.raises(DriverError, match=r"beyond its limit of 2"):
         bench.drive.command(torque)
     bench.run(0.02)
@@ -140,8 +133,7 @@ def test_a_watchdogs_fault_of_a_run_before_is_still_there_on_opening(kind: str) 
 
 
 def test_a_watchdog_out_of_range_is_refused(kind: str) -> None:
-    bench = DriveBench(kind)
-    bench.drive.open()
+    bench = opened(kind)
     with pytest.raises(ValueError, match="outside 5 to"):
         bench.drive.arm(2)
 
@@ -156,8 +148,7 @@ def test_a_sample_was_taken_between_request_and_answer(any_kind: str) -> None:
             self.t += dt_s
             return StillState(q2=self.t, q2d=1.0)
 
-    bench = DriveBench(any_kind, Moving())
-    bench.drive.open()
+    bench = opened(any_kind, Moving())
     began = bench.clock.now_ns()
     received = [one for one in bench.run(0.5) if telemetry([one])]
     assert len(received) > 0.45 * bench.wiring.rate_hz
@@ -172,8 +163,7 @@ def test_a_sample_was_taken_between_request_and_answer(any_kind: str) -> None:
 
 
 def test_what_comes_too_late_is_no_answer_to_a_later_request(any_kind: str) -> None:
-    bench = DriveBench(any_kind)
-    bench.drive.open()
+    bench = opened(any_kind)
     bench.run(0.05)
     true, held = bench.link.read, list[Any]()
 
@@ -204,8 +194,7 @@ def test_nobody_there_and_a_wrong_node_name_what_to_look_at(any_kind: str) -> No
 
 
 def test_a_drive_that_hangs_gives_no_telemetry(any_kind: str) -> None:
-    bench = DriveBench(any_kind)
-    bench.drive.open()
+    bench = opened(any_kind)
     bench.far.alive = False
     bench.run(0.05)
     assert not telemetry(bench.run(0.2)) and bench.drive.stats.lost > 3

@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
+from daq import parse_rig
+from daq.recording import record_run
+from daq.runs import read_run
+from drivers import DeviceAbsent, FaultReport, Hello, Wiring
 from drivers import dynamixel as dxl
-from drivers.drive import Wiring
 from drivers.dynamixel import Address, Instruction
 from drivers.dynamixel_drive import DynamixelDrive, find_nodes
-from drivers.errors import DeviceAbsent, DeviceFault, ProtocolMismatch
+from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
 from drivers.mock.plant import StillPlant, StillState
-from drivers.protocol import FaultReport, Hello
-from tests.support.drive_bench import CONSTANT, DriveBench, telemetry
+from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
 from tests.support.recordings import RIG, sine
 
 PRINTED = [
@@ -222,8 +221,7 @@ def test_a_hardware_error_goes_by_a_reboot_only() -> None:
 
 
 def test_readings_that_stand_still_are_no_telemetry() -> None:
-    bench = DriveBench("dynamixel")
-    bench.drive.open()
+    bench = opened("dynamixel")
     bench.run(0.1)
     bench.far.stuck = True
     bench.run(0.02)
@@ -252,8 +250,7 @@ def test_polls_alone_do_not_keep_the_torque_on() -> None:
 
 
 def test_a_plan_is_recorded_over_it_without_a_lost_sample(tmp_path: Path) -> None:
-    bench = DriveBench("dynamixel", turns=1.0)
-    bench.drive.open()
+    bench = opened("dynamixel", turns=1.0)
     text = RIG.replace("[limits]\n", 'kind = "dynamixel"\nnode = 1\nrate_hz = 250.0\n[calibration]\n'
                        f"torque_constant_nm_per_a = {CONSTANT}\n[limits]\nunchecked = [\"encoder_s\", \"q1_rad\"]\n")
     report = record_run(tmp_path / "r.mcap", parse_rig(text), text, sine(0.8), None, bench.drive, bench.clock.now_ns,

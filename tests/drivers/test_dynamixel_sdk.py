@@ -5,35 +5,17 @@ from typing import Any
 
 import pytest
 
+from drivers import Wiring
 from drivers import dynamixel as dxl
-from drivers.drive import Wiring
 from drivers.dynamixel import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
 from drivers.mock.plant import StillPlant, StillState
 from tests.support.processes import REAL_CLOCK
+from tests.support.recorded_port import RecordedPort
 
 sdk = pytest.importorskip("dynamixel_sdk")
 pytestmark = REAL_CLOCK
-
-
-class Recorded:
-    """A port that keeps what the library writes."""
-
-    is_using = False
-
-    def __init__(self) -> None:
-        self.sent = b""
-
-    def clearPort(self) -> None:
-        return None
-
-    def writePort(self, data: Any) -> int:
-        self.sent += bytes(data)
-        return len(data)
-
-    def setPacketTimeout(self, length: int) -> None:
-        return None
 
 
 @pytest.fixture
@@ -80,15 +62,12 @@ def test_its_sync_read_finds_both_and_its_broadcast_ping_all(far: tuple[MockDyna
 
 
 def test_we_build_what_it_builds_byte_for_byte() -> None:
-    port, handler = Recorded(), sdk.PacketHandler(2.0)
+    port, handler = RecordedPort(), sdk.PacketHandler(2.0)
     handler.readTx(port, 5, 132, 4)
-    assert port.sent == dxl.read(5, 132, 4)
-    port = Recorded()
     handler.syncWriteTxOnly(port, 116, 4, [9, 1, 2, 3, 4], 5)
-    assert port.sent == dxl.silent_write(9, 116, b"\1\2\3\4")
-    port = Recorded()
     handler.syncReadTx(port, 126, 10, [1, 2, 7], 3, False)
-    assert port.sent == dxl.sync_read([1, 2, 7], 126, 10)
+    assert port.sent == [dxl.read(5, 132, 4), dxl.silent_write(9, 116, b"\1\2\3\4"),
+                         dxl.sync_read([1, 2, 7], 126, 10)]
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xfd\x00", b"\x00\xff\xff\xfd", b"\xff\xff\xfd\xfd"])

@@ -9,15 +9,12 @@ from typing import Any
 
 import pytest
 
-from drivers import i2c_bus
+from drivers import ImuConfig, Lsm9ds1, i2c_bus, open_bus
 from drivers.can_codec import CanCodec
 from drivers.can_link import CanLink
 from drivers.errors import DeviceBusy
-from drivers.i2c_bus import open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.i2c_server import I2cServer
+from drivers.mock import I2cServer, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 
@@ -40,7 +37,6 @@ def test_a_second_program_is_refused_chip_and_node_until_the_first_is_killed(tmp
     with I2cServer(MockRig(StillPlant()).imu, tmp_path / "i2c") as server:
         child = subprocess.Popen([sys.executable, "-c", HOLDER, server.path, channel], stdin=subprocess.PIPE,
                                  stdout=subprocess.PIPE, text=True, cwd=ROOT)
-        assert child.stdout is not None
         assert child.stdout.readline() == "held\n"
         imu = Lsm9ds1(open_bus(server.path), config=ImuConfig(238.0))
         with pytest.raises(DeviceBusy, match="another program reads the chip"):

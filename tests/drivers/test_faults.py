@@ -8,16 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
-from drivers.errors import DriverError, LinkLost
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import Decoder, Telemetry, encode
+from drivers.protocol import Decoder, encode
+from tests.support.counted_chip import CountedChip
 from tests.support.device_faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
@@ -118,38 +114,26 @@ def test_unplugged_and_plugged_in_again_the_drive_is_off_and_the_loss_is_counted
     with pytest.raises(LinkLost):
         controller.poll()
     clock.sleep(0.3)
+    rig.advance_to(clock.now_ns())
+    assert rig.firmware.drive.state == State.FAULT
     link.replug()
     hello = controller.open()  # stops first
     assert hello.boot_id == rig.firmware.boot_id
     controller.poll()
-    assert controller.telemetry is not None
     assert controller.telemetry.torque_cmd_nm == 0.0
     assert controller.stats.lost > 100
     t_ns, _, acting = rig.firmware.record
     assert acting[t_ns > clock.now_ns() - 150_000_000].max() < 1e-9
 
 
-class Numbered:
-    """A chip whose k-th sample is k in all six words, drained through a faulty bus."""
+class Numbered(CountedChip):
+    """Drained through a faulty bus."""
 
     def __init__(self, rate_hz: float) -> None:
-        self.clock = VirtualClock()
-        self.chip = MockLsm9ds1(self.clock, self.advance)
+        super().__init__()
         self.schedule: dict = {}
         self.bus = FaultyI2C(self.chip, self.schedule)
         self.driver = Lsm9ds1(self.bus, config=ImuConfig(rate_hz), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
-        self.made, self.next_ns = 0, 0.0
-
-    def advance(self, t_ns: int) -> None:
-        rate = self.chip.rate_hz
-        if not rate:
-            self.next_ns = 0.0
-            return
-        self.next_ns = self.next_ns or t_ns
-        while self.next_ns <= t_ns:
-            self.chip.push([self.made % 30000] * 6)
-            self.made += 1
-            self.next_ns += 1e9 / rate
 
 
 ERRNOS = [121, 110, 11, 5, 6, 19]

@@ -6,14 +6,15 @@ import struct
 import numpy as np
 import pytest
 
+from drivers import FaultReport
 from drivers import feetech as sts
 from drivers.errors import ProtocolMismatch
 from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.mock.plant import StillPlant, StillState
-from drivers.protocol import Fault, FaultReport
-from tests.support.drive_bench import DriveBench, telemetry
+from drivers.protocol import Fault
+from tests.support.drive_bench import DriveBench, opened, telemetry
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
            ("its answer", sts.packet(1, 0), "FF FF 01 02 00 FC"),
@@ -77,8 +78,7 @@ def test_a_position_within_a_turn_goes_on_over_its_end() -> None:
             self.t += dt_s
             return StillState(q2=8.0 * self.t, q2d=8.0)
 
-    bench = DriveBench("feetech", Turning(), turns=1.0)
-    bench.drive.open()
+    bench = opened("feetech", Turning(), turns=1.0)
     knee = np.array([t.knee_rad for t in telemetry(bench.run(3.0))])
     assert knee[-1] - knee[0] == pytest.approx(24.0, rel=0.02) and np.abs(np.diff(knee)).max() < 0.1
 
@@ -113,8 +113,7 @@ def test_a_motor_that_somebody_left_on_is_turned_off() -> None:
 
 @pytest.mark.parametrize("way", ["stop", "close", "clear_faults"])
 def test_it_is_off_after(way: str) -> None:
-    bench = DriveBench("feetech")
-    bench.drive.open()
+    bench = opened("feetech")
     bench.run(0.02)
     running(bench)
     getattr(bench.drive, way)()
@@ -151,8 +150,7 @@ def test_no_byte_of_the_driver_turns_it_on() -> None:
     (lambda far: setattr(far, "degc", 120.0), Fault.OVERTEMPERATURE, "overheating"),
     (lambda far: setattr(far, "driver_ok", False), Fault.OVERCURRENT, "overcurrent")])
 def test_its_faults_have_our_names(break_it: object, fault: Fault, said: str) -> None:
-    bench = DriveBench("feetech")
-    bench.drive.open()
+    bench = opened("feetech")
     bench.run(0.05)
     break_it(bench.far)  # type: ignore[operator]
     reports = [one.message for one in bench.run(0.1) if isinstance(one.message, FaultReport)]

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
+from drivers import Wiring
 from drivers import feetech as sts
-from drivers.drive import Wiring
 from drivers.feetech import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.feetech_drive import MockFeetech, new_table
 from drivers.mock.plant import StillPlant, StillState
 from tests.support.processes import REAL_CLOCK
+from tests.support.recorded_port import RecordedPort
 
 sdk = pytest.importorskip("scservo_sdk")
 pytestmark = REAL_CLOCK
@@ -61,28 +62,9 @@ def test_its_sync_read_finds_both(far: tuple[MockFeetech, Any]) -> None:
 
 
 def test_we_build_what_it_builds_byte_for_byte() -> None:
-    sent: list[bytes] = []
-
-    class Port:
-        """A port that keeps what the library writes."""
-
-        is_using = False
-
-        def clearPort(self) -> None:
-            return None
-
-        def writePort(self, data: Any) -> int:
-            sent.append(bytes(data))
-            self.is_using = False
-            return len(data)
-
-        def setPacketTimeout(self, length: int) -> None:
-            return None
-
-    handler = sdk.sms_sts(Port())
+    handler = sdk.sms_sts(port := RecordedPort())
     handler.readTx(5, 56, 2)
     handler.syncWriteTxOnly(40, 1, [9, 0], 2)
-    handler.portHandler.is_using = False
     handler.syncReadTx(56, 15, [1, 2, 7], 3)
-    assert sent == [sts.read(5, 56, 2), sts.silent_write(9, 40, b"\0"), sts.sync_read([1, 2, 7], 56, 15)]
+    assert port.sent == [sts.read(5, 56, 2), sts.silent_write(9, 40, b"\0"), sts.sync_read([1, 2, 7], 56, 15)]
     assert all(handler.scs_toscs(n, 15) == sts.from_signed(n) for n in (-32767, -1, 0, 1, 32767))

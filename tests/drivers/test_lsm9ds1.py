@@ -5,19 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError
-from drivers.i2c_bus import open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers import DeviceAbsent, DriverError, ImuConfig, Lsm9ds1, open_bus
+from drivers.errors import DeviceBusy, DeviceFault
+from tests.support.counted_chip import CountedChip
 
 
-class Bench:
-    """A chip whose k-th sample is [k, ...], so that every lost or doubled one shows."""
+class Bench(CountedChip):
+    """With its driver, and what that writes."""
 
     def __init__(self, config: ImuConfig | None = None, bus_khz: float = 400.0) -> None:
-        self.clock = VirtualClock()
-        self.chip = MockLsm9ds1(self.clock, self.advance, bus_khz=bus_khz)
+        super().__init__(range(1, 6), bus_khz)
         self.writes: list[bytes] = []
         transfer = self.chip.i2c_rdwr
 
@@ -27,20 +24,8 @@ class Bench:
             transfer(*messages)
 
         self.chip.i2c_rdwr = spy
-        self.made = 0
-        self.next_ns = 0.0
         self.driver = Lsm9ds1(self.chip, config=config, now_ns=self.clock.now_ns, sleep=self.clock.sleep,
                               bus_khz=bus_khz)
-
-    def advance(self, t_ns: int) -> None:
-        rate = self.chip.rate_hz
-        if not rate:
-            return
-        self.next_ns = self.next_ns or t_ns
-        while self.next_ns <= t_ns:
-            self.chip.push([self.made % 30000, 1, 2, 3, 4, 5])
-            self.made += 1
-            self.next_ns += 1e9 / rate
 
     def drain_for(self, seconds: float, every_s: float = 0.01) -> list:
         end, batches = self.clock.now_ns() + seconds * 1e9, []

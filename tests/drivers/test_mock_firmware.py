@@ -5,28 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from drivers.mock.clock import VirtualClock
+from drivers import FaultReport, Hello, Message, Pong, State, Telemetry
+from drivers.mock import FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.emulator import FirmwareEmulator
 from drivers.mock.plant import Segment, Snapshot, StillPlant, StillState
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import (
-    Arm,
-    ClearFaults,
-    Decoder,
-    Fault,
-    FaultReport,
-    Hello,
-    HelloRequest,
-    Message,
-    Ping,
-    Pong,
-    State,
-    Stop,
-    Telemetry,
-    TorqueCommand,
-    encode,
-)
+from drivers.protocol import Arm, ClearFaults, Decoder, Fault, HelloRequest, Ping, Stop, TorqueCommand, encode
 
 MS = 1_000_000
 

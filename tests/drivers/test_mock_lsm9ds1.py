@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from smbus2 import i2c_msg
 
-from drivers.mock.clock import VirtualClock
+from drivers.mock import ImuSettings, MockRig, Plant, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.plant import Plant, StillPlant, StillState
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import ImuSettings
+from drivers.mock.plant import StillPlant, StillState
 
 ADDRESS = 0x6B
 

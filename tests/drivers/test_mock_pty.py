@@ -8,19 +8,16 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.errors import DeviceBusy, LinkLost
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
+from drivers import LegController, LinkLost, Lsm9ds1, State, Telemetry
+from drivers.errors import DeviceBusy
+from drivers.mock import MockRig, PtyServer
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.protocol import Pong, State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.leg_on_a_link import PATIENCE_S, drive, ping, poll_until, settle
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
 
-PATIENCE_S = 10.0
 
 
 @pytest.fixture
@@ -34,30 +31,15 @@ def server(rig: MockRig) -> Iterator[PtyServer]:
         yield server
 
 
-def poll_until(controller: LegController, wanted) -> list:
-    """Received messages up to the first that is wanted."""
-    received, deadline = [], time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        received += controller.poll()
-        if received and wanted(received):
-            return received
-    raise AssertionError("it did not come")
-
-
-def test_handshake_telemetry_and_torque_through_pyserial(rig: MockRig, server: PtyServer) -> None:
-    with LegController(SerialLink(server.path)) as controller:
-        assert controller.open().boot_id == rig.firmware.boot_id
-        controller.arm(1000)
-        controller.command(0.5)
-        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+def test_handshake_telemetry_ping_and_torque_through_pyserial(rig: MockRig, server: PtyServer) -> None:
+    with LegController(SerialLink(server.path), rig.clock.now_ns) as controller:
+        drive(controller, rig)
+        ping(controller, rig)
         controller.command(0.5)
         frames = [m for m, *_ in poll_until(controller, lambda r: len(r) >= 100) if isinstance(m, Telemetry)]
         assert all((b.seq - a.seq) % 65536 == 1 for a, b in pairwise(frames))
         assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.lost == 0
-    deadline = time.monotonic() + PATIENCE_S
-    while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
-        time.sleep(0.005)
-    assert rig.firmware.drive.state in (State.DISARMED, State.FAULT)
+    settle(lambda: rig.firmware.drive.state in (State.DISARMED, State.FAULT))
     assert rig.firmware.drive.torque_nm == 0.0
 
 
@@ -124,17 +106,6 @@ def test_a_pty_has_no_low_latency_mode_and_says_so(server: PtyServer) -> None:
     assert link.latency_timer_ms is None
     link.close()
     link.close()
-
-
-def test_ping_over_the_pty_brackets_the_tick(rig: MockRig, server: PtyServer) -> None:
-    with LegController(SerialLink(server.path), rig.clock.now_ns) as controller:
-        controller.open()
-        _, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
-        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
-        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
-        half_trip_us = (rx_ns - tx_ns) / 2000
-        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= half_trip_us + 60
 
 
 def test_a_port_in_use_is_busy(server: PtyServer) -> None:

@@ -8,18 +8,15 @@ from typing import Any
 
 import pytest
 
-from drivers import FaultReport, Hello
+from drivers import FaultReport, Hello, Reaction
 from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault, ProtocolMismatch
-from drivers.mock.clock import RealClock
+from drivers.mock import MockRig, PtyServer, RealClock, drive_maker, on_serial
 from drivers.mock.moteus_drive import MockMoteus
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig, drive_maker, on_serial
 from drivers.moteus_drive import QUERY, MoteusDrive
 from drivers.multiplex import WRITE, Kind, Register, parse, write
-from drivers.protocol import Reaction
-from tests.support.drive_bench import DriveBench, telemetry
+from tests.support.drive_bench import DriveBench, opened, telemetry
 
 
 def test_its_own_limits_are_read_and_shown() -> None:
@@ -61,8 +58,7 @@ def test_another_register_map_is_refused() -> None:
 
 def test_answers_of_a_firmware_that_hangs_are_no_telemetry() -> None:
     """Its communication lives, its registers stand still: the counter shows it."""
-    bench = DriveBench("moteus")
-    bench.drive.open()
+    bench = opened("moteus")
     assert telemetry(bench.run(0.1))
     bench.far.stuck_counter_ms = 1
     bench.run(0.02)
@@ -203,8 +199,7 @@ def registers(data: bytes) -> dict[int, float]:
 
 def test_an_answer_that_is_not_whole_is_none() -> None:
     """Found by broken frames: registers missing, or a mode that is no number."""
-    bench = DriveBench("moteus")
-    bench.drive.open()
+    bench = opened("moteus")
     drive = bench.drive
     assert isinstance(drive, MoteusDrive)
     for data in (write(Kind.INT8, Register.MODE, [0]) + write(Kind.F32, Register.CONTROL_TORQUE, [0.0]),

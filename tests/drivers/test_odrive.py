@@ -13,7 +13,7 @@ from drivers.can_frame import CanFrame
 from drivers.cansimple import CLOSED_LOOP, IDLE, LAYOUT, Msg, OdriveError, message, request, values_of
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock.odrive_drive import ASKED
-from tests.support.drive_bench import CONSTANT, DriveBench, telemetry
+from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
 
 
 def arm_and_wait(bench: DriveBench) -> None:
@@ -24,8 +24,7 @@ def arm_and_wait(bench: DriveBench) -> None:
 
 
 def test_the_watchdog_is_proven_before_the_motor_turns() -> None:
-    bench = DriveBench("odrive")
-    bench.drive.open()
+    bench = opened("odrive")
     bench.run(0.05)
     began = bench.clock.now_ns()
     bench.drive.arm(100)

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from estimator.errors import FitError
-from estimator.parallel import cores, parallel_map
+from estimator import FitError, cores
+from estimator.parallel import parallel_map
 
 
 def test_results_come_in_order_from_other_processes() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson
 
-from daq.rig import load_rig
+from daq import load_rig
 from evidence.blind import bench
 from evidence.blind.cases import Case, draw_case, strengths
 from evidence.blind.effects import INSIDE, LARGEST, MAKERS, OUTSIDE

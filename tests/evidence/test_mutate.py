@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import InputError
+from daq import InputError
 from evidence.mutate_worker import Kind, study
 from tests.support.paths import ROOT
 

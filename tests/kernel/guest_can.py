@@ -14,18 +14,14 @@ from typing import Any
 import can
 import pytest
 
+from drivers import DeviceAbsent, LegController, LinkLost, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
-from drivers.errors import DeviceAbsent, LinkLost
-from drivers.leg_controller import LegController
-from drivers.mock.can_server import CanServer
+from drivers.mock import CanServer, FirmwareSettings, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import Pong, State, Telemetry
+from tests.support.leg_on_a_link import PATIENCE_S, drive, is_stopped, ping, poll_until
 
-PATIENCE_S = 20.0
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}
 NODE = 3
 
@@ -36,22 +32,6 @@ def ip(*words: str) -> None:
 
 def raw(can_id: int, data: bytes = b"\0", **kind) -> can.Message:
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, **kind)
-
-
-def poll_until(controller: LegController, wanted) -> list:
-    received, deadline = [], time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        received += controller.poll()
-        if wanted(received):
-            return received
-    raise AssertionError("it did not come")
-
-
-def settle(rig: MockRig, wanted) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not wanted() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert wanted()
 
 
 @pytest.fixture
@@ -76,18 +56,10 @@ def connect() -> LegController:
 
 def test_the_whole_way_from_handshake_to_stop(rig: MockRig, server: CanServer) -> None:
     with connect() as controller:
-        assert controller.open(PATIENCE_S).boot_id == rig.firmware.boot_id
-        controller.arm(1000)
-        controller.command(0.5)
-        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
-        ping_id, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
-        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
-        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
-        assert pong.ping_id == ping_id
-        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60
+        drive(controller, rig)
+        ping(controller, rig)
         assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.unknown == 0
-    settle(rig, lambda: rig.firmware.drive.state == State.DISARMED)
+    is_stopped(rig)
 
 
 def test_the_kernel_filters_other_nodes(rig: MockRig, server: CanServer) -> None:
@@ -187,7 +159,6 @@ def test_the_kernels_stamp_is_of_the_arrival() -> None:
         sent = time.time()
         time.sleep(0.2)
         message = b.recv(PATIENCE_S)
-        assert message is not None
         assert before - 0.02 < message.timestamp < sent + 0.02
 
 

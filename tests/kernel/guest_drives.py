@@ -7,12 +7,9 @@ from typing import Any
 import can
 import pytest
 
-from drivers import Drive, Telemetry, Wiring, open_drive
-from drivers.errors import DeviceAbsent
-from drivers.mock.can_server import CanServer
+from drivers import DeviceAbsent, Drive, Telemetry, Wiring, open_drive
+from drivers.mock import CanServer, FirmwareSettings, MockRig, drive_facts, drive_maker
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig, drive_facts, drive_maker
-from drivers.mock.settings import FirmwareSettings
 
 PATIENCE_S = 20.0
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from smbus2 import SMBus, i2c_msg
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DriverError
-from drivers.i2c_bus import claim, explain, open_bus
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers import DeviceAbsent, DriverError, ImuConfig, Lsm9ds1, claim, explain, open_bus
+from drivers.errors import DeviceBusy
 from tests.kernel.cuse_bus import CuseBus
 from tests.kernel.wires_bus import DEVICE, WiresBus
+from tests.support.counted_chip import CountedChip
 
 ADDRESS = 0x6B
 
@@ -27,31 +25,18 @@ def stub_path() -> str:
     return f"/dev/{next(n.parent.name for n in names if 'stub' in n.read_text().lower())}"
 
 
-class Bench:
-    """The register-level chip behind a device node; its k-th sample is k in all words, its clock the test's."""
+class Bench(CountedChip):
+    """Behind a device node, the chip's clock the test's."""
 
     def __init__(self, adapter: type, rate_hz: float = 952.0) -> None:
-        self.clock = VirtualClock()
-        self.chip = MockLsm9ds1(self.clock, self.advance)
+        super().__init__()
         self.adapter = adapter(self)
         self.bus = open_bus(self.adapter.path)
         self.driver = Lsm9ds1(self.bus, ADDRESS, ImuConfig(rate_hz), self.clock.now_ns, sleep=self.clock.sleep)
-        self.made, self.next_ns = 0, 0.0
 
     def i2c_rdwr(self, *messages) -> None:
         """The chip's wires; a test may cut in by setting another function on the chip."""
         self.chip.i2c_rdwr(*messages)
-
-    def advance(self, t_ns: int) -> None:
-        rate = self.chip.rate_hz
-        if not rate:
-            self.next_ns = 0.0
-            return
-        self.next_ns = self.next_ns or t_ns
-        while self.next_ns <= t_ns:
-            self.chip.push([self.made % 30000] * 6)
-            self.made += 1
-            self.next_ns += 1e9 / rate
 
 
 @pytest.fixture(params=[CuseBus, WiresBus])
@@ -98,16 +83,6 @@ def test_identity_configuration_and_samples_in_bursts_beyond_32_bytes(bench: Ben
     assert len(numbers) > 60
     assert set(np.diff(numbers)) == {1}
     assert len(numbers) * 12 > 384
-
-
-def test_an_overrun_is_a_gap(bench: Bench) -> None:
-    bench.driver.open()
-    bench.driver.drain()
-    bench.clock.sleep(0.2)
-    batch = bench.driver.drain()
-    assert batch.gap_before
-    assert "overrun" in batch.reason
-    assert len(batch.raw) == 32
 
 
 @pytest.mark.parametrize("number", [errno.EREMOTEIO, errno.EAGAIN, errno.ETIMEDOUT, errno.EIO])

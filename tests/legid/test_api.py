@@ -13,9 +13,9 @@ import pytest
 
 import legid
 from estimator import Combination
-from estimator.diagnosis import Diagnosis as Details
+from estimator import Diagnosis as Details
+from experiments.emulation import LegBody
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
-from experiments.emulation.plant import LegBody
 from legid import api
 from tests.support.paths import ROOT
 

@@ -11,7 +11,7 @@ import pytest
 from msgspec import Struct
 
 import legid
-from daq.rig import parse_rig
+from daq import parse_rig
 from estimator import Combination
 from experiments.models import mechanism_settings
 from legid.tables import columns

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import legid
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from estimator.prediction import HORIZONS_S
 from experiments.documents import finite
 from experiments.judge import diagnosed_model

@@ -1,8 +1,5 @@
 """Every verb sets a run aside that cannot be used, and says so: a leg whose knee's encoder is stuck, a real arm's."""
 
-import csv
-import gzip
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,8 +7,9 @@ import numpy as np
 import pytest
 
 import legid
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from experiments.documents import Document
+from tests.support.packed_runs import stuck
 from tests.support.paths import FIXTURES, REAL, ROOT, needs_records
 
 Verb = Callable[[Sequence[Path], Path], Document]
@@ -52,8 +50,5 @@ def test_of_a_leg(verb: str, tmp_path: Path) -> None:
                                   for verb in VERBS])
 def test_of_a_real_arm(verb: str, tmp_path: Path) -> None:
     files, bad = [REAL / f"dfki_c0/{k}.csv.gz" for k in ("00", "01", "02", "05")], tmp_path / "bad.csv.gz"
-    header, *rows = csv.reader(io.StringIO(gzip.decompress(files[0].read_bytes()).decode()))
-    at = header.index("q2_rad")
-    bad.write_bytes(gzip.compress("\n".join(",".join(row) for row in (
-        header, *([*row[:at], "0.3", *row[at + 1:]] for row in rows))).encode()))
+    stuck(files[0], bad)
     assert told(VERBS[verb]([*files[:2], bad, *files[2:]], ROOT / "studies/rigs/dfki_first.toml")) == ["bad.csv.gz"]

@@ -15,16 +15,16 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from daq.errors import InputError
-from daq.rig import load_rig
-from estimator import Verdict
-from estimator.diagnosis.result import Cause, Diagnosis
+from daq import InputError, load_rig
+from estimator import Diagnosis, Verdict
+from estimator.diagnosis import Cause
 from experiments.cli import main
 from studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
 from studies.casebook_page import study_text
 from tests.support.pages import allowed_script
 from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
+from tests.support.shell import Shell
 
 _with_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 
@@ -53,9 +53,9 @@ def test_no_code_knows_a_data_set_by_name() -> None:
             assert not names.search("\n".join(code)), path  # an effect's reference may cite a publication
 
 
-def test_a_folder_without_known_records_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["casebook", str(tmp_path)]) == 2
-    assert "known folders" in capsys.readouterr().err
+def test_a_folder_without_known_records_is_refused(tmp_path: Path, shell: Shell) -> None:
+    shell("casebook", tmp_path, status=2)
+    assert "known folders" in shell.err
     with pytest.raises(InputError, match="extra"):
         (tmp_path / "cases.toml").write_text("[[case]]\ntitle = 'a'\nfolder = 'b'\nsource = ''\nknown = ''\nextra = 1")
         load_cases(tmp_path / "cases.toml")
@@ -124,8 +124,7 @@ def test_friction_that_grows_with_load_is_the_only_name_under_a_voltage(book: tu
 
 
 @needs_records
-def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(
-        book: tuple[dict[str, Any], str]) -> None:
+def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(book: tuple[dict[str, Any], str]) -> None:
     both, viscous, coulomb, without = book[0]["multiarm"]["fits"]
     published = {"beta1": 5.6485e-3, "beta2": 3.1453e-3, "beta3": 2.7754e-3, "beta4": 0.03395, "beta5": 0.01607}
     for fit in (both, viscous, coulomb):
@@ -137,7 +136,7 @@ def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(
 
 @needs_records
 def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tuple[dict[str, Any], str],
-                                                                       capsys: pytest.CaptureFixture[str]) -> None:
+                                                                       shell: Shell) -> None:
     (refused,) = book[0]["song_imu"]["fits"]
     assert "tau1_nm is missing" in refused["refused"]
     (calibrated,) = book[0]["song_imu"]["calibrations"]  # by the data's README: gain .985, about -.0006 rad/s
@@ -145,8 +144,8 @@ def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tupl
     assert calibrated["rms"]["angle_rad"]["after"] < 0.5 * calibrated["rms"]["angle_rad"]["before"]
     assert calibrated["rms"]["angle_rad"]["before"] < calibrated["published_angle_rms_rad"]
     runs = [str(DATA / "bam_xl330" / "kp100_sin_sin.csv.gz")]
-    assert main(["fit", *runs, "--rig", str(RIGS / "song_imu.toml")]) == 2
-    assert "tau1_nm is missing" in capsys.readouterr().err
+    shell("fit", *runs, "--rig", RIGS / "song_imu.toml", status=2)
+    assert "tau1_nm is missing" in shell.err
     fit = book[0]["bam_xl330"]["fits"][0]  # beside the data's README: 5.575 V gravity, .438 V s/rad, .0766 V s2/rad
     assert 9.81 * fit["found"]["beta2"] == pytest.approx(5.575, rel=0.1)
     assert fit["found"]["beta3"] == pytest.approx(0.438, rel=0.15)

@@ -2,35 +2,30 @@
 
 import itertools
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from estimator.fitting.fit import fit
-from estimator.fitting.wls import around_samples, design_rows
-from estimator.signals.segments import split_signals
-from experiments.cli import main
+from estimator import fit
+from estimator.fitting import design_rows
+from estimator.signals import split_signals
 from experiments.workflows.executor import SerialExecutor
-from studies.biped3 import store, study
+from studies.biped3 import CASES, FLOOR, blocks, make_table, store, study, table_document
 from studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
 from studies.biped3.study import (
-    CASES,
-    FLOOR,
     KNOWN_WLS,
     PAPERS_MLE,
     Block,
-    blocks,
     case_options,
     error_of_truth,
     noisy_record,
     run_block,
     truth,
 )
-from studies.biped3.table import PAPER, bound, make_table, table_document
+from studies.biped3.table import PAPER, bound
 from studies.walker import motor_mechanism, one_step
+from tests.support.shell import Shell
 
 
 def test_noise_is_that_of_table_ii_and_depends_on_seed_case_and_run_alone() -> None:
@@ -70,24 +65,6 @@ def test_mle_is_near_its_bound_and_best_of_four() -> None:
     assert all(mle.mean < cell.mean for cell in table.cells if cell.method != "mle")
 
 
-def test_differences_alone_leave_the_error_that_the_paper_prints() -> None:
-    """Noise-free record, Table II's first column: 1.22 against the 1.15 to 1.24 of Table III."""
-    from estimator.signals.filters import central_difference
-    from studies.rk4_free_run import free_runs
-    from studies.walker import MOTOR_ANGLES, motor_mechanism
-
-    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
-    qd = central_difference(step.q, 0.01, 2)
-    z = mechanism.regressor(step.q, qd, central_difference(qd, 0.01, 2))[4:-4]
-    error = []
-    for torque in (around_samples(step.torque, "zero"), step.torque):
-        beta = np.linalg.lstsq(z.reshape(-1, 8), torque[4:-4].ravel(), rcond=None)[0]
-        run = free_runs(mechanism, np.asarray(beta[None], float), step.q[0], step.qd[0], step.torque, 0.01)
-        error.append(float(np.sum(((run.q[0] - step.q) @ np.linalg.inv(MOTOR_ANGLES).T) ** 2)))
-    assert error[0] == pytest.approx(1.22, abs=0.05)
-    assert error[1] == pytest.approx(45.2, abs=1.0)
-
-
 def test_bound_grows_with_noise() -> None:
     spread = [np.diag(bound(case)) for case in CASES]
     assert all(np.all(a <= b * (1 + 1e-9)) for a, b in itertools.pairwise(spread))
@@ -121,12 +98,12 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
         np.testing.assert_array_equal(resumed[block].error, whole[block].error)
 
 
-def test_command_writes_table_report_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_table_report_and_runs(tmp_path: Path, shell: Shell) -> None:
     out, js = tmp_path / "study", tmp_path / "table.json"
     arguments = ["monte-carlo", "biped3", "--runs", "6", "--cases", "1", "--methods", "mle,wls", "--workers", "1",
                  "--out", str(out), "--json", str(js)]
-    assert main(arguments) == 0
-    text = capsys.readouterr().out
+    shell(*arguments)
+    text = shell.out
     assert "MLE" in text and "1.242" in text and "floor" in text
     document = json.loads(js.read_text())
     assert document["schema"] == "legid.monte-carlo/1"
@@ -143,9 +120,9 @@ def test_command_writes_table_report_and_runs(tmp_path: Path, capsys: pytest.Cap
 
 @pytest.mark.parametrize("arguments", [["--runs", "0"], ["--cases", "6"], ["--methods", "magic"],
                                        ["--workers", "2", "--cluster", "tcp://x:1"]])
-def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monte-carlo", "biped3", *arguments]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], shell: Shell) -> None:
+    shell("monte-carlo biped3", *arguments, status=2)
+    assert len(shell.err.strip().splitlines()) == 1
 
 
 def test_paper_table_has_four_cases_by_method() -> None:
@@ -154,11 +131,6 @@ def test_paper_table_has_four_cases_by_method() -> None:
     result = run_block(Block(CASES[0], FLOOR, 0, 5, 1))
     document = table_document(make_table({Block(CASES[0], FLOOR, 0, 5, 1): result}, 1), 1.0)
     assert document["cases"][0]["angle_variance"] == 1e-10
-
-
-def test_help_is_quick() -> None:
-    code = "import sys; from experiments.cli.main import build_parser; build_parser(); print('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"
 
 
 def test_the_printed_protocol_has_the_prints_floor_and_ours_has_none() -> None:

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.fitting import known_noise
 from estimator.fitting.fit_each import fit_each
-from estimator.fitting.profile_likelihood import known_noise, search
-from estimator.likelihood.batch_likelihood import BatchProblem, Records
-from estimator.signals.segments import split_signals
+from estimator.fitting.profile_likelihood import search
+from estimator.likelihood import BatchProblem, Records
+from estimator.signals import split_signals
+from studies.biped3 import CASES, FLOOR, make_table
 from studies.biped3.claims import claims, in_words
 from studies.biped3.likelihood import likelihood_ratio, smallest_misfit
 from studies.biped3.reasons import reasons
 from studies.biped3.study import (
-    CASES,
-    FLOOR,
     PAPERS_MLE,
     Block,
     case_options,
@@ -25,7 +25,7 @@ from studies.biped3.study import (
     simulation_errors,
     truth,
 )
-from studies.biped3.table import Table, make_table
+from studies.biped3.table import Table
 from studies.walker import CONSTRAINT_TANGENT, after_impact, motor_mechanism, one_step, periodic_rate, walk
 
 STEP = one_step().in_motor_angles()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.model.mechanism import biped3
+from estimator.model import biped3
 from studies import walker
 from studies.rk4_free_run import advance, free_runs
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from daq import FloatArray
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
+from estimator.likelihood import Latents, Noise
+from estimator.likelihood.normal_equations import Accumulators, Extra
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Motion, Samples, after
 from estimator.signals import accelerometer_at, accelerometer_slopes, imu_channels
 

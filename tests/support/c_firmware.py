@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from drivers import Reaction
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame, Frames
-from drivers.mock.clock import VirtualClock
+from drivers.mock import FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import Decoder, Reaction
+from drivers.protocol import Decoder
 from tests.support.paths import ROOT
 
 SOURCES = ROOT / "firmware"

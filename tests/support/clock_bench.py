@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.recording.plan import Plan
+from daq.recording import Plan
 from drivers import Pong, Received, Telemetry
 from tests.support.fault_bench import FaultBench
 

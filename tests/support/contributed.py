@@ -20,10 +20,9 @@ from estimator import FitOptions, fit
 from estimator.effects import library
 from estimator.model import leg2, simulate
 from experiments.cli import main
-from experiments.models import load_model
-from experiments.models.schema import EffectValue
+from experiments.models import EffectValue, load_model
 from experiments.rig.devices import connect
-from experiments.workflows.simulate import simulate_run
+from experiments.workflows import simulate_run
 from tests.support.models import LEG, write_model
 
 RIG = "[mechanism]\nmodel = \"leg2\"\nactuated = [2]\n"

@@ -15,10 +15,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from drivers import LinkLost
 from drivers.can_frame import CanFrame
-from drivers.errors import LinkLost
 from drivers.link import Link
-from drivers.mock.clock import Clock
+from drivers.mock import Clock
 
 
 @dataclass(frozen=True)

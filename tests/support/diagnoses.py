@@ -2,19 +2,19 @@
 
 import numpy as np
 
-from estimator.diagnosis.result import (
+from estimator import Diagnosis
+from estimator.diagnosis import (
     BudgetRow,
     CandidateScore,
     Cause,
-    Diagnosis,
     Remainder,
     Rotation,
     SensorGain,
     Signature,
     SizeEstimate,
-    SmallSize,
     Trace,
 )
+from estimator.diagnosis.result import SmallSize
 
 NAMES = tuple(f"beta{k}" for k in range(1, 10))
 

@@ -59,6 +59,21 @@ class DriveBench:
         return float(t_ns[on[-1]] - since_ns) * 1e-9 if on.size else 0.0
 
 
+def opened(kind: str, plant: Plant | None = None, **wiring: Any) -> DriveBench:
+    """With its devices open."""
+    bench = DriveBench(kind, plant, **wiring)
+    bench.drive.open()
+    return bench
+
+
+def driven(kind: str) -> DriveBench:
+    """Armed, with a torque of 1 N m."""
+    bench = DriveBench(kind)
+    bench.armed(1000)
+    bench.run(0.05, 1.0)
+    return bench
+
+
 def telemetry(received: list[Received]) -> list[Telemetry]:
     """The samples among what came."""
     return [one.message for one in received if isinstance(one.message, Telemetry)]

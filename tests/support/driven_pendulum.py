@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from daq import Dataset, FloatArray
+from estimator import FitOptions
 from estimator.diagnosis.context import DiagnosisContext, detected, generic_extension, scored
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation
@@ -19,7 +20,6 @@ from estimator.diagnosis.search import search
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism, joint1
-from estimator.options import FitOptions
 from estimator.score import ScoreTests
 
 RATE_HZ, SECONDS = 50.0, 6.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.likelihood.normal_equations import Linearised
+from estimator.likelihood import Linearised
 
 
 def normal(point: Linearised) -> dict[str, np.ndarray]:

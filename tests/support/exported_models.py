@@ -8,11 +8,10 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, FloatArray
-from daq.recording.plan import Plan
-from experiments.models import EffectValue, Model, load_model
-from experiments.models.effect_library import known_effects
+from daq.recording import Plan
+from experiments.models import EffectValue, Model, known_effects, load_model
 from experiments.simulators import ExportedLeg, Piece, Record
-from experiments.workflows.simulate import simulate_run
+from experiments.workflows import simulate_run
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import random_leg
 

@@ -8,17 +8,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq.recording.plan import read_plan, write_plan
-from daq.rig import load_rig
-from daq.runs.csv_run import read_csv
+from daq import load_rig
+from daq.recording import read_plan, write_plan
+from daq.runs import read_csv
 from experiments import cli
-from experiments.emulation.hidden_effects import EFFECTS
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
-from experiments.judge.found_model import model_of
+from experiments.emulation import EFFECTS, LegBody
+from experiments.excite import random_multisine
+from experiments.judge import model_of
+from experiments.models import EffectValue, Model, save_model
 from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import save_model
-from experiments.models.schema import EffectValue, Model
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 

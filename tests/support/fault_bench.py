@@ -9,19 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.errors import InputError, WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs import mcap_run
-from daq.runs.mcap_run import read_run
-from drivers.errors import DriverError
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, ImuSettings
+from daq import InputError, WorkError, parse_rig
+from daq.recording import Plan, record_run
+from daq.runs import mcap_run, read_run
+from drivers import DriverError, ImuConfig, LegController, Lsm9ds1
+from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
 from experiments.emulation.plant import LegPlant
 from tests.support.device_faults import FaultyDisk, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from estimator.model.mechanism import leg2
-from estimator.result import FitResult, Trajectory
+from estimator import FitResult, Trajectory
+from estimator.model import leg2
 from experiments.documents import FitDocument
-from experiments.emulation.plant import LegBody
+from experiments.emulation import LegBody
 from experiments.models import MechanismSettings
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.dataset import Dataset
+from daq import Dataset
 from experiments.excite.staircase import staircase
 
 G = 9.81

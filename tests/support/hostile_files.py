@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.runs.mcap_run import RunWriter
+from daq.runs import RunWriter
 from tests.support.paths import DEMO_RIG
 
 GIGABYTES_4 = 4 << 30

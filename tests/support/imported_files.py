@@ -7,7 +7,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from daq.dataset import Dataset
+from daq import Dataset
 
 DEGREE = np.pi / 180.0
 G = 9.80665

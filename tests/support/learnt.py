@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
+from estimator import FitOptions
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.prediction import FittedModel, RunSignals, Structure, find_structure
 from estimator.signals import split_signals
 from tests.support.mujoco_leg import Leg, record

@@ -3,9 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from experiments.models.mechanism_settings import build_mechanism
-from experiments.models.model_file import save_model
-from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism, save_model
 
 
 def write_model(path: Path, beta: list[float], settings: dict[str, Any]) -> Path:

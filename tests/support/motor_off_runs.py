@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.runs.mcap_run import RunWriter
-from drivers.lsm9ds1 import ImuConfig
+from daq.runs import RunWriter
+from drivers import ImuConfig
 
 TELEMETRY_HZ, IMU_HZ = 200.0, 238.0
 DRAIN_S = 0.0126

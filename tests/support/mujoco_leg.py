@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from daq import FloatArray
-from daq.dataset import Dataset
+from daq import Dataset, FloatArray
 
 GRAVITY = 9.81
 XML = """
@@ -68,6 +67,18 @@ def random_leg(rng: np.random.Generator) -> Leg:
     return Leg(m1=1.3 * scale[0], l1=0.3 * scale[1], c1=0.16 * scale[2], i1=0.012 * scale[3], m2=0.8 * scale[4],
                c2=0.15 * scale[5], i2=0.007 * scale[6],
                viscous=(0.02 * scale[7], 0.03), coulomb=(0.03, 0.05 * scale[0]), lever=0.2)
+
+
+def recorded(seed: int, count: int, seconds: float = 10.0) -> tuple[Leg, list[Dataset]]:
+    """A leg, and so many runs of it."""
+    rng = np.random.default_rng(seed)
+    leg = random_leg(rng)
+    return leg, [record(leg, rng, seconds=seconds, name=f"run{k}") for k in range(count)]
+
+
+def scaled(runs: list[Dataset], column: str, factor: float) -> list[Dataset]:
+    """Runs whose column reads `factor` times as much."""
+    return [replace(run, columns={**run.columns, column: factor * run[column]}) for run in runs]
 
 
 def multisine(rng: np.random.Generator, time: np.ndarray, amplitude: float, low: float = 0.1,

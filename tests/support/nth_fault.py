@@ -21,15 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.errors import InputError, WorkError
-from daq.recording import record
-from daq.recording.plan import Plan
-from daq.rig import parse_rig
-from daq.runs import mcap_run
-from daq.runs.mcap_run import RunWriter, read_run
-from drivers import Lsm9ds1
-from drivers.errors import DriverError, LinkLost
-from drivers.lsm9ds1 import ImuConfig
+from daq import InputError, WorkError, parse_rig
+from daq.recording import Plan, record
+from daq.runs import RunWriter, mcap_run, read_run
+from drivers import DriverError, ImuConfig, LinkLost, Lsm9ds1
 from evidence.drive_faults import RIG as DRIVE_RIG
 from evidence.drive_faults import DriveFaultBench
 from tests.support.fault_bench import RIG, FaultBench

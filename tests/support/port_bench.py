@@ -12,22 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.recording.plan import Plan, write_plan
+from daq import InputError
+from daq.recording import Plan, write_plan
 from daq.recording.workers import REAL_TIME_PRIORITY
 from daq.runs import read_run
-from drivers.protocol import (
-    Arm,
-    ClearFaults,
-    Message,
-    State,
-    Stop,
-    Telemetry,
-    TimedCommand,
-    TorqueCommand,
-    describe_faults,
-    encode,
-)
+from drivers import Message, State, Telemetry, describe_faults
+from drivers.protocol import Arm, ClearFaults, Stop, TimedCommand, TorqueCommand, encode
 from evidence.kill_processes import start
 from experiments.cli import main as legid
 from tests.support.fault_bench import DRIVING_AT_S, PEAK_NM, RAMP_AT_S, STOPPING_AFTER_S, SWING_HZ

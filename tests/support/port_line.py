@@ -8,7 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 
-from drivers.protocol import DELIMITER, Decoder, Message
+from drivers import Message
+from drivers.protocol import DELIMITER, Decoder
 
 Change = Callable[[bytes], bytes]
 TURN_S = 0.002

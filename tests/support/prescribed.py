@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
-from estimator.model.mechanism import joint1, leg2
+from daq import Dataset
+from daq.runs import write_csv
+from estimator.model import joint1, leg2
 
 BETA = np.array([0.1, 0.02, 0.03, 0.4, 0.1, 0.02, 0.03, 0.05, 0.04])
 ARM_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [1, 2]\n'

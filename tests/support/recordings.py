@@ -5,18 +5,38 @@ from typing import Any
 
 import numpy as np
 
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.recorder import RecordReport
-from daq.rig import parse_rig
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
+from daq import parse_rig
+from daq.recording import Plan, RecordReport, record_run
+from drivers import ImuConfig, LegController, Lsm9ds1
+from drivers.mock import MockRig, PtyServer
+from drivers.mock.plant import StillPlant, StillState
 from drivers.serial_link import SerialLink
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.controller]\nwatchdog_ms = 100\n[limits]\n'
+
+
+class Turning(StillPlant):
+    """A leg that stands, then turns a joint at a constant speed from `at_s` on."""
+
+    def __init__(self, at_s: float, speed_radps: float, joint: int = 2) -> None:
+        super().__init__()
+        self.t, self.at_s, self.speed, self.joint = 0.0, at_s, speed_radps, f"q{joint}"
+
+    def step(self, dt_s: float, torque_nm: float) -> StillState:
+        self.t += dt_s
+        moved = max(self.t - self.at_s, 0.0)
+        return StillState(**{self.joint: moved * self.speed, f"{self.joint}d": self.speed if moved else 0.0})
+
+
+def at(seconds: float, act: Any) -> Any:
+    """A progress callback that does `act` once, when the plan has come to `seconds`."""
+    done: list[float] = []
+
+    def progress(now_s: float, total_s: float) -> None:
+        if now_s >= seconds and not done:
+            done.append(now_s)
+            act()
+    return progress
 
 
 def sine(seconds: float = 2.0, peak_nm: float = 0.5, step_s: float = 0.01) -> Plan:

@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-from daq.dataset import Dataset
-from daq.rig import Rig
-from daq.runs.csv_run import read_csv
-from daq.runs.mcap_run import read_run
+from daq import Dataset, Rig
+from daq.runs import read_csv, read_run
+from daq.timing import align_table
 from daq.timing.align import align
-from daq.timing.resample import align_table
 
 
 def load_run(path: Path, rig: Rig, rate_hz: float | None = None) -> Dataset:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from daq import Dataset
-from daq.rig import parse_rig
-from experiments.session.inputs import driven
+from daq import Dataset, parse_rig
+from experiments.session import driven
 from tests.support.mujoco_leg import Leg, multisine
 
 COUNTS = 4096

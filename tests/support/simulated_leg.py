@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import FloatArray, Loop
-from estimator.effects import Effect, GearEffect
+from estimator import Effect
+from estimator.effects import GearEffect
 from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State, free_run
 from estimator.model import leg2
 from estimator.signals import Commands, SignalSet, encoder_of, imu_channels, imu_columns, torque_of

@@ -10,16 +10,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.remote import ALIVE, PACKET_BYTES, Ended, Heard, Remote, Status, watched_by
-from daq.rig import parse_rig
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from daq import parse_rig
+from daq.recording import ALIVE, PACKET_BYTES, Ended, Heard, Plan, Remote, Status, record_run, watched_by
+from drivers import LegController, Lsm9ds1
+from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
 

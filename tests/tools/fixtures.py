@@ -9,19 +9,12 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.rig_devices import ImuDevice
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, ImuSettings
+from daq import ImuDevice, WorkError, parse_rig
+from daq.recording import Plan, record_run
+from drivers import ImuConfig, LegController, Lsm9ds1
+from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
 from experiments.emulation.plant import LegPlant
-from experiments.excite.multisine import random_multisine
+from experiments.excite import random_multisine
 from tests.support.paths import FIXTURES
 
 SEED = 2018

@@ -20,8 +20,7 @@ from estimator.model import leg2
 from experiments import cli
 from experiments.console import write_text
 from experiments.models import load_model
-from experiments.reports import Line, plot_lines, standalone, trace_plot, window
-from experiments.reports.figures import BLUE, GREEN, ORANGE
+from experiments.reports import BLUE, GREEN, ORANGE, Line, plot_lines, standalone, trace_plot, window
 from experiments.reports.sketch import draw_mechanism
 from experiments.rig import choose_rig
 from experiments.session import prepare

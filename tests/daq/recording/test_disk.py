@@ -3,45 +3,22 @@
 import os
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording import recorder
-from daq.recording.plan import Plan
+from daq import WorkError
+from daq.recording import Plan, recorder
 from daq.recording.recorder import Recorder
-from daq.runs import mcap_run
-from daq.runs.mcap_run import RunWriter, read_run
-from drivers.leg_controller import LegController
-from drivers.mock.rig import MockRig
-from drivers.protocol import State
+from daq.runs import RunWriter, mcap_run, read_run
+from drivers import LegController, State
+from drivers.mock import MockRig
 from tests.support.device_faults import FaultyDisk
-from tests.support.recordings import sine, threaded
+from tests.support.recordings import at, sine, threaded
 
 LIMITS = "staleness_s = 2.0\nclock_bound_s = 1.0\nunsaved_s = 1.3\n"
-
-
-@pytest.fixture
-def mocks(monkeypatch: pytest.MonkeyPatch) -> list[MockRig]:
-    """The rigs that a test makes."""
-    made: list[MockRig] = []
-    original = MockRig.__init__
-    monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (made.append(self), original(self, *a, **k))[1])
-    return made
-
-
-def once(at_s: float, act: Callable[[], None]) -> Callable[[float, float], None]:
-    done: list[float] = []
-
-    def progress(now_s: float, total_s: float) -> None:
-        if now_s >= at_s and not done:
-            done.append(now_s)
-            act()
-    return progress
 
 
 def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, mocks: list[MockRig],
@@ -57,7 +34,7 @@ def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, m
         disks[0]._delay_s = 8.0
 
     with pytest.raises(WorkError, match=r"age of what is not on the disk.*the disk does not answer"):
-        threaded(tmp_path / "r.mcap", sine(20.0), once(0.2, hang), LIMITS)
+        threaded(tmp_path / "r.mcap", sine(20.0), at(0.2, hang), LIMITS)
     assert time.monotonic() - hung[0] < 6.0
     t_ns, commanded, _ = mocks[0].firmware.motor.record
     outlived_s = float(t_ns[commanded != 0][-1]) * 1e-9 - hung[0]
@@ -80,7 +57,7 @@ def test_a_run_file_that_is_taken_away_stops_the_motor(tmp_path: Path, mocks: li
 
     with pytest.raises(WorkError, match=said):
         threaded(path, Plan(np.arange(0, 9, 0.01), np.full(900, 0.3)),
-                 once(0.4, strike))
+                 at(0.4, strike))
     t_ns, commanded, _ = mocks[0].firmware.motor.record
     assert (int(t_ns[commanded != 0][-1]) - when[0]) * 1e-6 < 200  # 20 ms of watching on a machine with nothing to do
 
@@ -91,7 +68,7 @@ def test_a_file_that_lacks_messages_is_said_when_it_is_closed(tmp_path: Path) ->
     writer.messages += 1
     with pytest.raises(WorkError, match="holds 1 of 2 messages after closing"):
         writer.close()
-    writer.close()  # said once
+    writer.close()  # said at
 
 
 def test_signals_while_the_file_is_finished_break_nothing_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,7 +82,7 @@ def test_signals_while_the_file_is_finished_break_nothing_off(tmp_path: Path, mo
 
     monkeypatch.setattr(Recorder, "_close", impatient)
     with pytest.raises(WorkError, match="stopped by SIGTERM"):
-        threaded(tmp_path / "r.mcap", sine(5.0), once(0.1, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+        threaded(tmp_path / "r.mcap", sine(5.0), at(0.1, lambda: os.kill(os.getpid(), signal.SIGTERM)))
     raw = read_run(tmp_path / "r.mcap")
     assert raw.complete
     assert raw.events[-1].text.startswith("stopped by SIGTERM")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.recording.plan import Plan
-from drivers.protocol import Telemetry
+from daq.recording import Plan
+from drivers import Telemetry
 from evidence.fault_list import FAULTS
 from evidence.faults import TARGET_MS, strike
 from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome

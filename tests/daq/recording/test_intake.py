@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from daq.recording.intake import ControllerIntake
+from daq.recording import ControllerIntake
 from daq.recording.supervisor import Sample, Trip, may_ramp
 from drivers import Capabilities, Pong
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import WorkError
+from daq import WorkError
 from tests.support.nth_fault import DRIVES, FAULTS, strike
 
 TARGET_MS = 110.0

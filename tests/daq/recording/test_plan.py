@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.recording.plan import Plan, check_gyro, check_plan, read_plan, write_plan
-from daq.rig import parse_rig
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.protocol import Hello
+from daq import InputError, parse_rig
+from daq.recording import Plan, read_plan, write_plan
+from daq.recording.plan import check_gyro, check_plan
+from drivers import Hello, ImuConfig, Lsm9ds1
 
 
 def test_a_plan_reads_back(tmp_path: Path) -> None:

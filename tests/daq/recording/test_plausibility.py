@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from daq import Calibration, Limits
 from daq.recording.plausibility import Plausibility, SuspectTimes, TwoAngles
-from daq.rig import Calibration
-from daq.rig_limits import Limits
-from drivers.protocol import Hello, Telemetry
+from drivers import Hello, Telemetry
 
 HZ, IMU_HZ = 500, 238.0
 HELLO = Hello(1, 7, HZ, 50.0, 2.0, 1000)

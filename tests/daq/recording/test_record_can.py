@@ -7,13 +7,12 @@ import can
 import numpy as np
 import pytest
 
-from daq.recording.plan import Plan, write_plan
-from daq.runs.mcap_run import read_run
+from daq.recording import Plan, write_plan
+from daq.runs import read_run
+from drivers import State
 from drivers.can_codec import CanCodec
-from drivers.mock.can_server import CanServer
+from drivers.mock import CanServer, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.protocol import State
 from experiments.cli import main
 from tests.support.processes import REAL_CLOCK
 

@@ -3,103 +3,27 @@
 import math
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.errors import InputError, WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.recorder import RAMP_S, RecordReport
-from daq.rig import parse_rig
-from daq.runs.mcap_run import RawRun, read_run
-from drivers.errors import LinkLost
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from daq import InputError, WorkError, parse_rig
+from daq.recording import Plan
+from daq.recording.recorder import RAMP_S
+from daq.runs import read_run
+from drivers import LinkLost, Lsm9ds1, State
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import State
-from tests.support.paths import ROOT
-from tests.support.recordings import RIG, sine, threaded
+from tests.support.recordings import RIG, Turning, at, sine, threaded
 from tests.support.runs import load_run
-
-
-class Drift(StillPlant):
-    """A leg that stands, then turns its knee at a constant speed from `at_s` on."""
-
-    def __init__(self, at_s: float, speed_radps: float) -> None:
-        super().__init__()
-        self.t, self.at_s, self.speed = 0.0, at_s, speed_radps
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        self.t += dt_s
-        moved = max(self.t - self.at_s, 0.0)
-        return StillState(q2=moved * self.speed, q2d=self.speed if moved else 0.0)
-
-
-class Bench(NamedTuple):
-    """A rig on the virtual clock, devices open, and what a recording on it left."""
-
-    clock: VirtualClock
-    mock: MockRig
-    link: EmulatorLink
-    controller: LegController
-    imu: Lsm9ds1
-    path: Path
-
-    def record(self, plan: Plan, limits: str = "", on_progress: Any = None) -> RecordReport:
-        text = RIG + limits
-        return record_run(self.path, parse_rig(text), text, plan, self.imu, self.controller, self.clock.now_ns,
-                          threaded=False, progress=on_progress)
-
-    def fails(self, plan: Plan, limits: str = "", on_progress: Any = None) -> tuple[str, RawRun]:
-        """One line of the failure, and the run that was kept."""
-        with pytest.raises(WorkError) as caught:
-            self.record(plan, limits, on_progress)
-        line = str(caught.value)
-        assert "\n" not in line
-        assert str(self.path) in line
-        self.controller.close()  # brings what is still on the wire
-        self.clock.sleep(0.2)
-        self.mock.firmware.transmit(self.clock.now_ns())
-        assert self.mock.firmware.drive.torque_nm == 0.0
-        assert self.mock.firmware.drive.state != State.ARMED
-        return line, read_run(self.path)
-
-
-def bench(path: Path, plant: Any = None, **firmware: Any) -> Bench:
-    clock = VirtualClock()
-    mock = MockRig(plant or StillPlant(), clock, firmware=FirmwareSettings(**firmware), seed=2)
-    link = EmulatorLink(mock.firmware, clock)
-    controller = LegController(link, clock.now_ns)
-    controller.open()
-    imu = Lsm9ds1(mock.imu, now_ns=clock.now_ns, sleep=clock.sleep)
-    imu.open()
-    return Bench(clock, mock, link, controller, imu, path)
-
-
-def at(seconds: float, act: Any) -> Any:
-    """A progress callback that does `act` once, when the plan has come to `seconds`."""
-    done: list[float] = []
-
-    def progress(now_s: float, total_s: float) -> None:
-        if now_s >= seconds and not done:
-            done.append(now_s)
-            act()
-    return progress
+from tests.support.sensor_bench import RigBench
 
 
 def test_a_plan_is_commanded_and_recorded_whole(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     seen: list[tuple[float, float]] = []
     report = b.record(sine(), on_progress=lambda now, total: seen.append((now, total)))
     raw = read_run(b.path)
@@ -127,7 +51,7 @@ def test_a_plan_is_commanded_and_recorded_whole(tmp_path: Path) -> None:
 
 
 def test_the_motor_gets_the_planned_torque_and_none_before_or_after(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     b.record(sine())
     t_ns, commanded, _ = b.mock.firmware.motor.record
     start = read_run(b.path).events[0].host_ns
@@ -140,7 +64,7 @@ def test_the_motor_gets_the_planned_torque_and_none_before_or_after(tmp_path: Pa
 
 
 def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     report = b.record(Plan(np.array([0.0, 0.5, 1.0]), np.array([0.1, 0.2, 0.0])))
     assert report.commands > 1.5 / 0.1
     _, commanded, _ = b.mock.firmware.motor.record
@@ -148,8 +72,8 @@ def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("plant", "limits", "named", "firmware"), [
-    (Drift(2.0, 3.0), "q2_rad = 0.5\n", "q2_rad", {}),
-    (Drift(2.0, 8.0), "speed_radps = 5.0\n", "speed_radps", {}),
+    (Turning(2.0, 3.0), "q2_rad = 0.5\n", "q2_rad", {}),
+    (Turning(2.0, 8.0), "speed_radps = 5.0\n", "speed_radps", {}),
     (StillPlant(StillState(q1=1.0)), "q1_rad = 0.9\n", "q1_rad", {}),
     (StillPlant(), "temperature_degc = 40.0\n", "temperature_degc", {"ambient_degc": 45.0}),
     (StillPlant(), "torque_nm = 0.6\ntorque_band_nm = 1.0\n", "torque_nm", {"shunt_offset_a": 0.4}),
@@ -157,7 +81,7 @@ def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
 ])
 def test_a_limit_stops_the_run_and_is_named(tmp_path: Path, plant: Any, limits: str, named: str,
                                             firmware: dict[str, Any]) -> None:
-    b = bench(tmp_path / "r.mcap", plant, **firmware)
+    b = RigBench(tmp_path / "r.mcap", plant, **firmware)
     line, raw = b.fails(sine(), limits)
     assert line.startswith(f"limit {named} tripped: ")
     assert raw.complete
@@ -167,7 +91,7 @@ def test_a_limit_stops_the_run_and_is_named(tmp_path: Path, plant: Any, limits: 
 
 
 def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     hot = at(0.5, lambda: setattr(b.mock.firmware, "motor_degc", 75.0))
     line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, 0.4)), on_progress=hot)
     assert "temperature_degc" in line
@@ -184,7 +108,7 @@ def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("torque_nm", "at_once"), [(0.4, True), (-0.4, False)])
 def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path, torque_nm: float, at_once: bool
                                                                   ) -> None:
-    b = bench(tmp_path / "r.mcap", Drift(2.0, 3.0))
+    b = RigBench(tmp_path / "r.mcap", Turning(2.0, 3.0))
     line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, torque_nm)), "q2_rad = 0.5\n")
     assert line.startswith("limit q2_rad tripped: knee angle after stopping")
     tripped_rad = raw.streams["/leg/telemetry"]["knee_rad"][raw.streams["/leg/telemetry"]["state"] == State.ARMED][-1]
@@ -195,14 +119,14 @@ def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path
 
 
 def test_an_imu_that_falls_silent_trips_staleness(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     line, raw = b.fails(sine(), on_progress=at(0.5, lambda: setattr(b.mock.imu, "push", lambda raw: None)))
     assert line.startswith("limit staleness_s tripped: silence of the IMU")
     assert raw.streams["/imu"].size > 200
 
 
 def test_a_controller_that_falls_silent_trips_staleness(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
 
     def hear_nothing() -> bytes:
         b.clock.sleep(0.001)
@@ -213,7 +137,7 @@ def test_a_controller_that_falls_silent_trips_staleness(tmp_path: Path) -> None:
 
 
 def test_a_pulled_cable_is_said_and_the_run_kept(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     line, raw = b.fails(sine(), on_progress=at(0.5, b.link.unplug))
     assert "connection is gone" in line
     assert raw.complete
@@ -223,7 +147,7 @@ def test_a_pulled_cable_is_said_and_the_run_kept(tmp_path: Path) -> None:
 
 
 def test_a_reboot_of_the_controller_ends_the_run(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     line, raw = b.fails(sine(), on_progress=at(0.7, b.mock.firmware.reboot))
     assert "restarted during the run" in line
     assert "reboot" in [e.kind for e in raw.events]
@@ -232,14 +156,14 @@ def test_a_reboot_of_the_controller_ends_the_run(tmp_path: Path) -> None:
 
 
 def test_a_firmware_fault_is_named(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     line, raw = b.fails(sine(), on_progress=at(0.5, lambda: setattr(b.mock.firmware, "knee_encoder_ok", False)))
     assert "knee" in line
     assert raw.complete
 
 
 def test_a_bus_error_is_a_gap_not_the_end(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     b.record(sine(), on_progress=at(0.5, lambda: b.mock.imu.fail(121, times=4)))
     raw = read_run(b.path)
     assert "imu gap" in [e.kind for e in raw.events]
@@ -247,7 +171,7 @@ def test_a_bus_error_is_a_gap_not_the_end(tmp_path: Path) -> None:
 
 
 def test_a_plan_beyond_the_limits_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     with pytest.raises(InputError, match=r"plan: asks for 0\.5 N m, limits\.torque_nm of the rig is 0\.4"):
         b.record(sine(), "torque_nm = 0.4\n")
     with pytest.raises(InputError, match="the firmware's limit is 2 N m"):
@@ -256,7 +180,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_a_file_is_made(tmp_path: Pat
 
 
 def test_a_failure_of_the_program_itself_stops_the_motor_too(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap")
+    b = RigBench(tmp_path / "r.mcap")
     with pytest.raises(ZeroDivisionError):
         b.record(sine(), on_progress=at(0.5, lambda: 1 / 0))
     b.clock.sleep(0.01)
@@ -314,25 +238,3 @@ def test_a_thread_that_crashes_ends_in_a_stop(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(WorkError, match="the IMU thread died"):
         threaded(tmp_path / "r.mcap", sine(5.0), at(0.1, begin))
     assert read_run(tmp_path / "r.mcap").events[-1].kind == "abort"
-
-
-KILLED = """
-import sys
-from pathlib import Path
-from tests.support.recordings import sine, threaded
-threaded(Path(sys.argv[1]), sine(60.0), lambda now, total: now > 0.5 and now < 0.52 and print("going", flush=True))
-"""
-
-
-def test_a_killed_recording_is_there_up_to_the_last_second(tmp_path: Path) -> None:
-    path = tmp_path / "r.mcap"
-    child = subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True,
-                             cwd=ROOT)
-    assert child.stdout is not None
-    assert child.stdout.readline() == "going\n"
-    child.kill()
-    child.wait()
-    raw = read_run(path)
-    assert not raw.complete
-    assert raw.streams["/leg/telemetry"].size > 250
-    assert "rig.toml" in raw.files

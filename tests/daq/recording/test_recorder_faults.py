@@ -4,32 +4,25 @@ import io
 import math
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs import mcap_run
-from daq.runs.mcap_run import read_run
+from daq import WorkError, parse_rig
+from daq.recording import Plan, record_run
+from daq.runs import mcap_run, read_run
+from drivers import ImuConfig, LegController, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, ImuSettings
-from drivers.protocol import Decoder, State, Telemetry
-from drivers.serial_link import SerialLink
+from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from drivers.protocol import Decoder
 from tests.support.device_faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.recordings import threaded
 from tests.support.runs import load_run
 
 pytestmark = REAL_CLOCK
@@ -163,23 +156,21 @@ def test_no_interval_of_a_recording_is_of_the_wall_clock() -> None:
     assert found == DATED
 
 
-def threaded(path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, **disk) -> MockRig:
-    """A recording on the real clock whose file is on a faulty disk."""
+@pytest.fixture
+def on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., object]:
+    """Records on the real clock with a file on a faulty disk."""
     create = mcap_run._create
-    monkeypatch.setattr(mcap_run, "_create", lambda p: FaultyDisk(create(p), **disk))
-    mock = MockRig(StillPlant())
-    text = RIG + "watchdog_ms = 1000\n[limits]\nstaleness_s = 5.0\nclock_bound_s = 5.0\n"
-    with PtyServer(mock.firmware) as server, LegController(SerialLink(server.path)) as controller:
-        controller.open()
-        imu = Lsm9ds1(mock.imu)
-        imu.open()
-        record_run(path, parse_rig(text), text, plan, imu, controller)
-    return mock
+
+    def run(seconds: float, **disk: Any) -> None:
+        monkeypatch.setattr(mcap_run, "_create", lambda p: FaultyDisk(create(p), **disk))
+        t = np.arange(0, seconds, 0.01)
+        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), limits="staleness_s = 5.0\nclock_bound_s = 5.0\n")
+
+    return run
 
 
-def test_a_slow_disk_delays_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(0, 1.0, 0.01)
-    threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, delay_s=0.02)
+def test_a_slow_disk_delays_no_device(tmp_path: Path, on_disk: Callable[..., object]) -> None:
+    on_disk(1.0, delay_s=0.02)
     raw = read_run(tmp_path / "r.mcap")
     assert raw.complete
     frames = raw.streams["/leg/telemetry"]
@@ -188,14 +179,10 @@ def test_a_slow_disk_delays_no_device(tmp_path: Path, monkeypatch: pytest.Monkey
     assert frames.size > 800
 
 
-def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_path: Path,
-                                                                           monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(0, 20.0, 0.01)
-    mocks: list[MockRig] = []
-    original = MockRig.__init__
-    monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (mocks.append(self), original(self, *a, **k))[1])
+def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(
+        tmp_path: Path, mocks: list[MockRig], on_disk: Callable[..., object]) -> None:
     with pytest.raises(WorkError, match=FULL + ", then repair the file with legid recover"):
-        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=150_000)
+        on_disk(20.0, room=150_000)
     assert mocks[0].firmware.drive.torque_nm == 0.0
     assert mocks[0].firmware.drive.state != State.ARMED
     raw = read_run(tmp_path / "r.mcap")
@@ -203,11 +190,10 @@ def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_pa
     assert raw.streams["/leg/telemetry"].size > 300
 
 
-def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_the_name_free(tmp_path: Path,
-                                                                             monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(0, 1.0, 0.01)
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_the_name_free(
+        tmp_path: Path, on_disk: Callable[..., object]) -> None:
     with pytest.raises(WorkError, match=FULL + "$"):
-        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=100)
+        on_disk(1.0, room=100)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.plan import Plan, write_plan
-from daq.runs.mcap_run import read_run
-from drivers.protocol import Fault, State
+from daq.recording import Plan, write_plan
+from daq.runs import read_run
+from drivers import State
+from drivers.protocol import Fault
 from tests.support.c_firmware import Change, Served
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK

@@ -7,41 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from daq import Calibration, Limits, parse_rig
 from daq.recording.plausibility import Plausibility
-from daq.rig import Calibration, parse_rig
-from daq.rig_limits import Limits
-from daq.runs.mcap_run import read_run
-from daq.timing.align import decode, recorded_rig
-from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.settings import PivotSettings, ShuntSettings
-from drivers.protocol import Hello
-from tests.support.recordings import RIG
+from daq.runs import read_run
+from daq.timing import decode, recorded_rig
+from drivers import Hello
+from drivers.mock import PivotSettings, ShuntSettings
+from tests.support.recordings import RIG, Turning, at
 from tests.support.runs import load_run
 from tests.support.sensor_bench import TABLES, SensorBench
-
-
-class Turning(StillPlant):
-    """A pivot that turns at a constant speed from `at_s` on."""
-
-    def __init__(self, speed_radps: float, at_s: float = 0.0) -> None:
-        super().__init__()
-        self.t, self.at_s, self.speed = 0.0, at_s, speed_radps
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        self.t += dt_s
-        moved = max(self.t - self.at_s, 0.0)
-        return StillState(q1=moved * self.speed, q1d=self.speed if moved else 0.0)
-
-
-def at(seconds: float, act: Any) -> Any:
-    """A progress callback that does `act` once, when the plan has come to `seconds`."""
-    done: list[float] = []
-
-    def progress(now_s: float, total_s: float) -> None:
-        if now_s >= seconds and not done:
-            done.append(now_s)
-            act()
-    return progress
 
 
 def zero_after_s(bench: SensorBench, since_ns: int) -> float:
@@ -64,7 +38,7 @@ def test_both_are_recorded_and_come_back_in_si_units(tmp_path: Path) -> None:
 
 
 def test_the_angle_goes_on_where_the_chip_wraps(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap", Turning(5.5), imu=False)
+    bench = SensorBench(tmp_path / "r.mcap", Turning(0.0, 5.5, joint=1), imu=False)
     bench.fails(limits="q1_rad = 7.0\n")  # it passes the limit, more than a turn away, and not one of them sooner
     raw = read_run(bench.path)
     data = load_run(bench.path, recorded_rig(raw), 100.0)
@@ -76,7 +50,7 @@ def test_the_angle_goes_on_where_the_chip_wraps(tmp_path: Path) -> None:
 
 def test_times_are_right(tmp_path: Path) -> None:
     """A pivot that turns steadily shows by how much the sensor's times are off; without an IMU they bound the clock."""
-    bench = SensorBench(tmp_path / "r.mcap", Turning(0.4, at_s=0.3), imu=False, magnet=PivotSettings(-0.4, -1, 0.0))
+    bench = SensorBench(tmp_path / "r.mcap", Turning(0.3, 0.4, joint=1), imu=False, magnet=PivotSettings(-0.4, -1, 0.0))
     bench.record()
     raw = read_run(bench.path)
     data = load_run(bench.path, recorded_rig(raw), 200.0)
@@ -123,7 +97,7 @@ def test_a_glitch_on_the_bus_is_borne(tmp_path: Path) -> None:
 
 
 def test_the_limit_of_the_pivot_goes_by_its_sensor(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap", Turning(0.8, at_s=1.2), imu=False)
+    bench = SensorBench(tmp_path / "r.mcap", Turning(1.2, 0.8, joint=1), imu=False)
     bench.mock.firmware.pivot_hall_ok = False  # without a sensor of its own that would be the end already
     said, _ = bench.fails(limits="q1_rad = 0.5\n")
     assert "limit q1_rad tripped: pivot angle in rad is 0.5" in said
@@ -149,6 +123,5 @@ def test_a_pivot_sensor_that_disagrees_with_the_gyro_fails_its_check() -> None:
 
 def test_tables_of_the_rig_file() -> None:
     rig = parse_rig(RIG.replace("[limits]\n", TABLES))
-    assert rig.devices.pivot is not None and rig.devices.shunt is not None
     assert (rig.devices.pivot.sign, rig.devices.pivot.address, rig.devices.shunt.kind) == (-1, 0x36, "ina228")
     assert math.isclose(rig.calibration.pivot_zero_rad, 0.4)

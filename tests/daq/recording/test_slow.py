@@ -5,20 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
-from drivers import TO_AG
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.lsm9ds1_mag import Magnetometer
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from daq import parse_rig
+from daq.recording import Plan, record_run
+from daq.runs import read_run
+from drivers import TO_AG, LegController, Lsm9ds1, Magnetometer
+from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from experiments.reports.run_info import describe_mcap
+from experiments.reports import describe_mcap
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK

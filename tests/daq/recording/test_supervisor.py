@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from daq.recording.supervisor import Sample, Supervisor
-from daq.rig_limits import Limits
+from daq import Limits
+from daq.recording import Supervisor
+from daq.recording.supervisor import Sample
 
 LIMITS = Limits(torque_nm=2.0, speed_radps=15.0, q1_rad=1.6, q2_rad=2.6, temperature_degc=70.0, staleness_s=0.1,
                 clock_bound_s=0.005)

@@ -8,8 +8,9 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
-from daq.errors import InputError
-from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, read_run, recover
+from daq import InputError
+from daq.runs import RunWriter, read_run, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES
 
 CHUNKS, EACH = 4, FLUSH_MESSAGES
 

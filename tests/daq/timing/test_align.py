@@ -7,21 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.errors import InputError
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs.csv_run import RawTable
-from daq.runs.mcap_run import RunWriter, read_run
-from daq.timing.align import decode, recorded_rig
-from daq.timing.resample import TimedColumns, align_channels, align_table, snapped_times
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings, ImuSettings
+from daq import Dataset, InputError, parse_rig
+from daq.recording import Plan, record_run
+from daq.runs import RawTable, RunWriter, read_run
+from daq.timing import TimedColumns, align_channels, align_table, decode, recorded_rig
+from daq.timing.resample import snapped_times
+from drivers import LegController, Lsm9ds1
+from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
 from tests.support.runs import load_run
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from daq.runs.streams import CLOCK, IMU_STREAM
-from daq.timing.clock import fit_samples, fit_ticks
+from daq.timing import fit_samples, fit_ticks
 
 EPOCH = 5_000_000_000_000
 

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
-from daq.runs.mcap_run import RawRun, read_run
+from daq import load_rig
+from daq.runs import RawRun, read_run
 from daq.timing import align, decode, find_clock_faults, recorded_rig
-from experiments.reports.run_info import describe_mcap
-from experiments.reports.run_list import list_runs
+from experiments.reports import describe_mcap, list_runs
 from experiments.workflows import fit_runs
 from tests.support.clock_bench import KINDS, WHICH, strike
 from tests.support.paths import FIXTURES

@@ -8,21 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.errors import InputError, WorkError
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
+from daq import InputError, WorkError, parse_rig
+from daq.recording import record_run
+from daq.runs import read_run
 from daq.runs.streams import IMU_STREAM
-from daq.timing.align import align, decode
+from daq.timing import configured, decode
+from daq.timing.align import align
 from daq.timing.flags import _repeated, _unmarked, flag_run
-from daq.timing.notes import configured
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
+from drivers import LegController, Lsm9ds1
+from drivers.mock import EmulatorLink, ImuSettings, MockRig, VirtualClock
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import ImuSettings
 from tests.support.recordings import RIG, sine
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from daq.dataset import FloatArray
+from daq import FloatArray
+from daq.timing import TimedColumns, align_channels
 from daq.timing.held_torque import commanded_torque, find_response, split_torque
-from daq.timing.resample import TimedColumns, align_channels
 
 DELAY_S, LAG_S = 0.0006, 0.0011
 SENT_S: FloatArray = np.asarray(0.2 + np.arange(1000) * 0.01, float)
@@ -45,7 +45,6 @@ def test_delay_lag_and_gain_are_found(rate_hz: float) -> None:
 def test_the_mean_of_each_step_of_the_grid_is_right_and_its_noise_white(rate_hz: float) -> None:
     made = samples(rate_hz, 0.02, seed=1)
     split = split_torque(made, SENT_S, SENT_NM)
-    assert split is not None
     run = align_channels("x", [split.commanded], 250.0)
     measured = run["tau2_nm"] + split.residual_on(run.time_s, 0.004)
     area = [commanded_torque(run.time_s + shift, SENT_S, SENT_NM, DELAY_S, LAG_S)[1] for shift in (-0.002, 0.002)]
@@ -65,7 +64,6 @@ def _correlation(error: np.ndarray) -> float:
 
 def test_a_grid_that_is_finer_than_the_samples_has_a_residual_everywhere() -> None:
     split = split_torque(samples(250.0, 0.005), SENT_S, SENT_NM)
-    assert split is not None
     grid: FloatArray = np.linspace(0.5, 4.499, 4000)
     assert split.residual_on(grid, 0.001) == pytest.approx(np.interp(grid, split.time_s, split.residual_nm))
 
@@ -74,7 +72,6 @@ def test_a_gap_of_the_samples_stays_a_gap() -> None:
     made = samples(500.0, 0.005)
     kept = (made.time_s < 4.0) | (made.time_s > 4.1)
     split = split_torque(TimedColumns(made.time_s[kept], {"tau2_nm": made.columns["tau2_nm"][kept]}), SENT_S, SENT_NM)
-    assert split is not None
     centres = split.commanded.time_s
     assert np.isnan(split.commanded.columns["tau2_nm"][(centres > 4.001) & (centres < 4.099)]).all()
     assert np.isfinite(split.commanded.columns["tau2_nm"][(centres < 3.99) | (centres > 4.11)]).all()

@@ -6,11 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.rig import load_rig
-from daq.runs.mcap_run import RunWriter, read_run
-from daq.timing.skew import measure_skew
-from experiments.reports.run_info import describe_mcap
+from daq import Dataset, load_rig
+from daq.runs import RunWriter, read_run
+from daq.timing import measure_skew
+from experiments.reports import describe_mcap
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run
 
@@ -34,7 +33,6 @@ def swing(late_s: float, seed: int = 0, seconds: float = 20.0, size: float = 1.0
 def test_a_delay_is_found_with_its_sign(late_s: float) -> None:
     for seed in range(4):
         skew = measure_skew(swing(late_s, seed))
-        assert skew is not None
         assert skew.seconds == pytest.approx(late_s, abs=5e-4)
         assert skew.std_s < 3e-4
         assert abs(skew.seconds - late_s) < 5 * skew.std_s
@@ -44,7 +42,6 @@ def test_holes_are_left_out() -> None:
     run = swing(0.005)
     run.columns["gyro_radps"][500:520] = np.nan
     skew = measure_skew(run)
-    assert skew is not None
     assert skew.seconds == pytest.approx(0.005, abs=5e-4)
 
 

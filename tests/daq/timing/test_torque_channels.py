@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from daq.dataset import Dataset
-from daq.timing.torque_channels import compare_torque_channels
+from daq import Dataset
+from daq.timing import compare_torque_channels
 
 RATE_HZ, SECONDS = 200.0, 20.0
 
@@ -32,7 +32,6 @@ def channels(seed: int, gain: float, offset: float, delay_s: float, noise: float
                                                          (1.3, 0.0, 0.02)])
 def test_gain_offset_and_delay_come_back(gain: float, offset: float, delay_s: float) -> None:
     found = compare_torque_channels(channels(3, gain, offset, delay_s))
-    assert found is not None
     for figure, truth in ((found.gain, gain), (found.offset_nm, offset), (found.delay_s, delay_s)):
         assert abs(figure.value - truth) < 1.7 * figure.half
     assert found.gain.half < 0.01 and found.offset_nm.half < 0.004 and found.delay_s.half < 0.001

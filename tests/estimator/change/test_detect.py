@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 
 from daq import Dataset, load_rig
-from estimator.change import Change, Reference, compare_sessions, detect_change, learn_reference
+from estimator import FitError, FitOptions
+from estimator.change import Change, Reference, Structure, compare_sessions, detect_change, learn_reference
 from estimator.change.contrast import Contrast, contrast, seen
-from estimator.change.structure import STOP, Structure, find_structure
+from estimator.change.structure import STOP, find_structure
 from estimator.change.verdict import replicates
-from estimator.errors import FitError
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.score import Score, total
 from evidence.blind.records import RECORDS, RIGS
 from evidence.blind.stickslip import MAKERS, Readings
 from evidence.what_changed import runs_of, spoilt
 from experiments.session import prepare
-from experiments.workflows.change import find_change
+from experiments.workflows import find_change
 from tests.support.changed_leg import REFERENCE, leg_runs, loaded
 from tests.support.mujoco_leg import Leg
 from tests.support.paths import REAL

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 
 from daq import load_rig
-from estimator.change.detect import detect_change
+from estimator import FitError, FitOptions
+from estimator.change import Change, LogLevels, detect_change, learn_reference
 from estimator.change.free_runs import _without, free_run_errors, larger_error
-from estimator.change.noise import LogLevels
-from estimator.change.reference import learn_reference
-from estimator.change.result import Change
 from estimator.change.scores import fit_reference, score_run
 from estimator.change.verdict import AGAINST, with_errors
-from estimator.errors import FitError
 from estimator.model import leg2
-from estimator.options import FitOptions
 from evidence.blind.records import RECORDS, RIGS
 from evidence.what_changed import runs_of, spoilt
 from experiments.documents import ChangeDocument

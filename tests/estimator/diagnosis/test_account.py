@@ -9,15 +9,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from estimator import Diagnosis
 from estimator.diagnosis.account import compared, undecided, with_blind_sensors, with_minor
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
-from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Answer, Family, Hidden
-from estimator.effects import battery
+from estimator.effects import TorqueDelay, battery
 from estimator.effects.joint_stiffness import JointStiffness
-from estimator.effects.torque_delay import TorqueDelay
 from estimator.model import leg2
 from tests.support.stated_fits import NOTHING_LEFT, Named, explained, fitted
 from tests.support.stated_tables import table_of

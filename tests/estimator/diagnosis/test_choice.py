@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.diagnosis.decision_rule import MATERIAL, WIDTH
+from estimator.diagnosis import MATERIAL
+from estimator.diagnosis.decision_rule import WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, seated, shortlisted
 from estimator.diagnosis.search import possible
 from estimator.diagnosis.verdict import UNCHANGED, UNSURE, choose, is_material, is_open, likeliest, shortfall

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from estimator import FitOptions
 from estimator.diagnosis.context import DiagnosisContext, scored
 from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import split_runs
@@ -14,7 +15,6 @@ from estimator.diagnosis.model import deviance, fit_nominal
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.score import BEYOND, default_tolerances
 from tests.support.lab_readings import SMALL, read_with
 from tests.support.mujoco_leg import random_leg
@@ -43,7 +43,6 @@ def result_of(context: DiagnosisContext) -> Corrected | None:
 def test_all_small_faults_are_found_together_and_the_readings_are_without_them() -> None:
     context = context_of(tuple(SMALL.items()))
     found = result_of(context)
-    assert found is not None
     sizes = {f"{one.effect.key}.{size.name}": float(value)
              for one in found.faults for size, value in zip(one.effect.sizes, one.size, strict=True)}
     named = {"gyro_scale": "gyro_scale.scale_error", "accelerometer_bias.x": "accelerometer_bias.bias_x",

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator import FitOptions
-from estimator.diagnosis import diagnose
+from estimator import FitOptions, diagnose
 from estimator.diagnosis.account import interval
 from estimator.effects import SensorTimeSkew, TorqueDelay
 from estimator.likelihood import LatentProblem, Latents

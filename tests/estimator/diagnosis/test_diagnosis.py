@@ -11,40 +11,23 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import Diagnosis, FitError, FitOptions, diagnose
 from estimator.diagnosis import model as models
 from estimator.diagnosis.account import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import fit_nominal
-from estimator.diagnosis.procedure import diagnose
-from estimator.diagnosis.result import Diagnosis
-from estimator.effects import classes, library
+from estimator.effects import library
 from estimator.effects.load_dependent_friction import LoadDependentFriction
-from estimator.errors import FitError
-from estimator.fitting.gauss_newton import iterate
-from estimator.likelihood import Candidate, LatentProblem, Stage
-from estimator.likelihood.effect_columns import braked, slopes
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from estimator.fitting import iterate
+from estimator.likelihood import LatentProblem, Latents, Stage, State
+from estimator.likelihood.effect_columns import braked
+from estimator.model import joint1, leg2
 from estimator.score import Score, own_inflation, project
-from estimator.signals.segments import SignalSet, split_signals
+from estimator.signals import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
 
-CONTRACT = {
-    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
-    "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
-    "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
-    "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
-    "encoder_scale", "encoder_eccentricity", "command_delay", "gain_scale", "missing_integral", "input_limit",
-    "supply_sag", "command_dead_band", "command_steps", "load_stribeck_friction", "quadratic_load_friction",
-    "directional_load_friction"}
 CHOSEN = FitOptions(sensors="imu", hold="auto", smoothing_velocity="auto")
-
-
-def test_the_library_is_the_contract() -> None:
-    assert {c.name for c in classes()} == CONTRACT
 
 
 @pytest.fixture(scope="module")
@@ -58,31 +41,6 @@ def healthy(runs: tuple[Leg, list[Dataset]]) -> Diagnosis:
     """Of runs in which nothing is hidden, hold and rounding chosen."""
     leg, data = runs
     return diagnose(data, leg2(lever_arm=leg.lever), CHOSEN, seed=1)
-
-
-def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Leg, list[Dataset]]) -> None:
-    leg, data = runs
-    mechanism = leg2(lever_arm=leg.lever)
-    signals = split_signals(data[:1], mechanism, FitOptions())
-    angle_range = np.array([[-1.0, 1.0], [-1.5, 1.5]])
-    problem = LatentProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), angle_range, 50.0))
-    q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
-    v = np.gradient(q, 0.01, axis=0)
-    view = problem.view(Latents(q, v, problem.torque), leg.beta())
-    effects, _ = library(mechanism, True)
-    assert len(effects) > 25
-    for effect in effects:
-        for shape in effect.grid():
-            zero = effect.perturb(view, np.array([0.0] * len(effect.sizes) + list(shape)))
-            for part in (zero.torque, zero.torque_at_samples, *zero.readings.values()):
-                assert part is None or np.max(np.abs(part)) < 1e-12, effect.key
-            size = np.array([s.scale for s in effect.sizes] + list(shape))
-            acting = effect.perturb(view, size)
-            parts = [p for p in (acting.torque, *acting.readings.values()) if p is not None]
-            assert any(np.any(p != 0.0) for p in parts), effect.key
-            assert all(np.isfinite(p).all() for p in parts), effect.key
-        assert len(slopes(effect, view, size)) == effect.count
-        assert Candidate(effect, shape).width == len(effect.sizes)
 
 
 def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: tuple[Leg, list[Dataset]]) -> None:

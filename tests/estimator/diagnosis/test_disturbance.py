@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import FitOptions, fit
-from estimator.diagnosis import diagnose
+from estimator import FitOptions, diagnose, fit
 from estimator.model import leg2
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record

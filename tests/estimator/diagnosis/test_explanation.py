@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
+from estimator import Effect
 from estimator.diagnosis.explanation import Explanation, indistinguishable_set, presence, undetermined
-from estimator.effects import Effect
 from estimator.effects.asymmetric_friction import AsymmetricFriction
 from estimator.effects.encoder_eccentricity import EncoderEccentricity
 from estimator.effects.encoder_scale import EncoderScale

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import Effect, FitError, FitOptions
 from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import measure
@@ -27,26 +28,18 @@ from estimator.diagnosis.model import (
     smooth,
 )
 from estimator.diagnosis.residual_signature import signature
-from estimator.effects import Effect
-from estimator.effects.backlash import Backlash
+from estimator.effects import Backlash, TorqueDelay
 from estimator.effects.joint_elasticity import JointElasticity
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.effects.quadratic_drag import QuadraticDrag
-from estimator.effects.torque_delay import TorqueDelay
 from estimator.effects.torque_ripple import TorqueRipple
-from estimator.errors import FitError
 from estimator.fitting import converge_motion
-from estimator.likelihood import Candidate, LatentProblem, Stage
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State
 from estimator.likelihood.free_run import free_run
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from estimator.model import joint1, leg2
 from estimator.prediction import per_value, white_noise
-from estimator.signals import IMU_COLUMNS
-from estimator.signals.segments import SignalSet
+from estimator.signals import IMU_COLUMNS, SignalSet
 from evidence.blind.cases import Case, DrawnCase, draw_case
 from evidence.blind.effects import MOTOR_INERTIA
 from evidence.blind.leg import stack
@@ -197,7 +190,6 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     moved = replace(state, x=replace(x, q=x.q + 0.05 * np.sin(7.0 * grid)[:, None]))  # where a guess may well stand
     moved.x.q[0] = x.q[0]
     run = free_run(problem, moved, driven)
-    assert run is not None
     # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
     assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
 
@@ -225,7 +217,6 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     noise = Noise(np.array([0.1]), np.array([1e-3]), np.ones(1), np.ones((1, 2)))
     state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))
     run = free_run(problem, state, volts[:, None])
-    assert run is not None
     assert np.abs(run.q[:, 0] - truth[0]).max() < 0.06 * np.ptp(truth[0])
     wrong = replace(state, beta=state.beta * np.array([1.0, 1.0, 1.0, 0.5, 1.0]))
     whole, short = (free_run(problem, wrong, volts[:, None], horizon) for horizon in (np.inf, 0.2))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.noise_check import in_words, noise_ratios, noisy_sensors
-from estimator.likelihood.noise import Noise
-from estimator.model.mechanism import leg2
+from estimator.likelihood import Noise
+from estimator.model import leg2
 from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, encoder_of
 
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
+from estimator import FitOptions
 from estimator.diagnosis.account import base, nothing, with_noise
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.decision_rule import EDGE, WHOLE_RUNS
@@ -18,7 +19,6 @@ from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.likelihood import Noise, Process
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.prediction import FloorNoise, channel_names, floor_errors, white_noise
 from tests.support.mujoco_leg import Leg, multisine, record
 from tests.support.ornstein_uhlenbeck import disturbed_record

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.diagnosis.decision_rule import MATERIAL, SURE
+from estimator.diagnosis import MATERIAL
+from estimator.diagnosis.decision_rule import SURE
 from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.explanation import LEAST_APART, Explanation
 from estimator.diagnosis.verdict import Family, decide, probability_of

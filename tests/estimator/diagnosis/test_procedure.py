@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.diagnosis.decision_rule import MATERIAL
+from estimator import FitError
+from estimator.diagnosis import MATERIAL
 from estimator.diagnosis.family import measure_all, measure_first
 from estimator.diagnosis.train_errors import floor_of_best, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
-from estimator.errors import FitError
 from tests.support.driven_pendulum import Searched, pendulum_runs, search_runs, searched
 
 DRAG, SPRING = 0.03, 0.4
@@ -79,7 +79,6 @@ def test_each_run_is_a_test_run_once_with_every_model_fitted_anew() -> None:
 
 def test_a_model_that_cannot_be_fitted_again_leaves_the_answer_to_the_first_test_runs() -> None:
     one = searched(drag=DRAG)
-    assert one.family.rows.answer is not None
     first, row = measure_first(one.family, np.random.default_rng(1)), one.family.rows.answer.row
     model = one.family.models[row]
     lost = replace(model, state=replace(model.state, beta=np.full_like(model.state.beta, np.nan)))
@@ -90,7 +89,6 @@ def test_a_model_that_cannot_be_fitted_again_leaves_the_answer_to_the_first_test
 def test_where_the_answer_cannot_be_simulated_the_nominal_model_is_the_unit() -> None:
     """... and where neither can, that is said."""
     one = searched(drag=DRAG)
-    assert one.family.rows.answer is not None
     row = one.family.rows.answer.row
     model = one.family.models[row]
     wild = model.state.beta.copy()

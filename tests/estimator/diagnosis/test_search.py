@@ -7,16 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator import FitError
 from estimator.diagnosis import search
 from estimator.diagnosis.context import Start, assess, assess_answers, bias_of
 from estimator.diagnosis.decision_rule import GROWN, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.model import Model, deviance
 from estimator.diagnosis.train_errors import floor_of_best, left_out_runs
+from estimator.effects import StribeckFriction, TorqueDelay
 from estimator.effects.quadratic_drag import QuadraticDrag
-from estimator.effects.stribeck_friction import StribeckFriction
-from estimator.effects.torque_delay import TorqueDelay
-from estimator.errors import FitError
 from tests.support.driven_pendulum import searched
 from tests.support.stated_fits import Named, explained, predicted_by_scores
 from tests.support.stated_tables import table_of

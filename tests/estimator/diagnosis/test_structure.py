@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator import Verdict
+from estimator import Diagnosis, FitError, FitOptions, Verdict
 from estimator.diagnosis import structure
 from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure import with_structure
 from estimator.effects.joint_stiffness import JointStiffness
-from estimator.errors import FitError
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.prediction import FittedModel, RunSignals, Structure
 from tests.support.learnt import hidden_magnet
 from tests.support.mujoco_leg import Leg, record

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.diagnosis import verdict
-from estimator.diagnosis.decision_rule import EDGE, MATERIAL
+from estimator.diagnosis import MATERIAL, verdict
+from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.explanation import fewest_beyond
 from estimator.diagnosis.verdict import (

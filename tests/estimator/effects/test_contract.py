@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from daq import Dataset, FloatArray
+from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import Model, fit_nominal, refit
-from estimator.effects import Effect, GearEffect, LawEffect, Shape, Size, classes, placed
-from estimator.effects.derivatives import Laws
+from estimator.effects import GearEffect, LawEffect, Laws, Shape, Size, classes, placed
 from estimator.effects.registry import joints_of, library_classes
 from estimator.likelihood import Candidate, Latents
+from estimator.likelihood.effect_columns import slopes
 from estimator.model import Mechanism, Motion
-from estimator.options import FitOptions
 from estimator.signals import encoder_of, torque_of
 from tests.support.hidden_effects import HIDDEN, LEVELS, SENSORS, record_hidden
 from tests.support.hidden_loops import GAIN, HIDDEN_LOOPS, QUANTUM_RAD, record_loop
@@ -99,6 +99,8 @@ def test_it_vanishes_at_zero_size_and_acts_at_its_scale_at_every_joint(kind: typ
             acting = effect.perturb(view, size)
             parts = [part for part in (acting.torque, *acting.readings.values()) if part is not None]
             assert any(np.any(part != 0.0) for part in parts) and all(np.isfinite(part).all() for part in parts)
+            assert Candidate(effect, shape).width == len(effect.sizes)
+            assert len(slopes(effect, view, size)) == effect.count
 
 
 @EVERY

@@ -10,8 +10,7 @@ import pytest
 
 from daq import FloatArray
 from estimator import FitError
-from estimator.effects import Perturbation, View, library
-from estimator.effects.base import Points
+from estimator.effects import Perturbation, Points, View, library
 from estimator.effects.directional_load_friction import DirectionalLoadFriction
 from estimator.effects.end_stop_contact import EndStopContact
 from estimator.effects.generic_terms import READINGS

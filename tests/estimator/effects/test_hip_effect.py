@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimator import FitOptions
-from estimator.effects import Effect, library, placed
-from estimator.effects.encoder_offset import EncoderOffset
+from estimator import Effect, FitOptions
+from estimator.effects import EncoderOffset, library, placed
 from estimator.effects.end_stop_contact import EndStopContact
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.likelihood import Candidate, LatentProblem, Latents, Stage

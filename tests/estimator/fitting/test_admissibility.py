@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import Method
-from estimator.fitting.admissibility import faults, fit_admissible, upper_end
-from estimator.fitting.fit import fit
+from estimator import FitOptions, Method, fit
+from estimator.fitting import faults, fit_admissible
+from estimator.fitting.admissibility import upper_end
 from estimator.fitting.identifiability import undetermined
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from estimator.model import joint1, leg2
 from experiments.cli import main
 from tests.support.prescribed import SWING_RIG, negated, swing_run, written
 

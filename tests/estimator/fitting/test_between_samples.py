@@ -14,8 +14,8 @@ from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import between_samples
 from estimator.fitting.hold_choice import HoldChoice
-from estimator.model import HOLDS, Collocation, lag, leg2
-from estimator.model.collocation import GAUSS, spline_slopes
+from estimator.model import GAUSS, HOLDS, Collocation, lag, leg2
+from estimator.model.collocation import spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.stick_slip_leg import move, sample
 from tests.support.timed_leg import Timing

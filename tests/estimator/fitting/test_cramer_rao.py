@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from estimator.likelihood.noise import Noise
-from estimator.model.mechanism import leg2
+from estimator.likelihood import Noise
+from estimator.model import leg2
+from studies.biped3 import CASES
 from studies.biped3.bound import exact_bound
 from studies.biped3.protocol import TORQUE_VARIANCE
-from studies.biped3.study import CASES, truth
+from studies.biped3.study import truth
 from studies.walker import motor_mechanism, one_step
 from tests.support.cramer_rao import cramer_rao
 

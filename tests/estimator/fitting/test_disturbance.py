@@ -9,18 +9,19 @@ import pytest
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
-from estimator.fitting.disturbance import (
+from estimator.fitting import (
     Disturbance,
     MarginalLikelihood,
     disturbance_likelihood,
     find_disturbance,
+    free_mask,
+    iterate,
+    noise_floors,
     of_noise,
-    predicts_worse,
+    start_state,
 )
+from estimator.fitting.disturbance import predicts_worse
 from estimator.fitting.disturbance_cause import cause_of_disturbance
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import noise_floors, start_state
-from estimator.fitting.wls import free_mask
 from estimator.free_runs import FittedModel
 from estimator.likelihood import OFF, LatentProblem
 from estimator.model import leg2

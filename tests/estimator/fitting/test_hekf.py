@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from estimator.errors import FitError
-from estimator.fitting.fit import fit
+from estimator import FitError, FitOptions, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from studies.biped3.study import CASES, case_options, noisy_record, truth
+from estimator.model import leg2
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record, truth
 from studies.walker import motor_mechanism, one_step
 from tests.support.mujoco_leg import Leg, record
 

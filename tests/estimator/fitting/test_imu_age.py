@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator import FitOptions, fit
+from estimator.fitting import free_mask
 from estimator.fitting.imu_age import rough_age
-from estimator.fitting.wls import free_mask
 from estimator.model import leg2
 from estimator.signals import split_signals
 from tests.support.mujoco_leg import random_leg

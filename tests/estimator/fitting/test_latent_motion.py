@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.fitting.latent_motion import converge_motion
+from estimator import FitOptions
+from estimator.fitting import converge_motion
 from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction
 from estimator.model import leg2
 from estimator.numerics import eliminate
-from estimator.options import FitOptions
-from estimator.signals.segments import split_signals
+from estimator.signals import split_signals
 from tests.support.mujoco_leg import Leg
 from tests.support.stick_slip_leg import move, sample
 

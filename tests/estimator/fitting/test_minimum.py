@@ -8,11 +8,10 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
-from daq.dataset import Dataset
-from estimator.fitting.fit import fit
-from estimator.likelihood.measured_runs import slack_of
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from estimator import FitOptions, fit
+from estimator.likelihood import slack_of
+from estimator.model import leg2
 from tests.support.mujoco_leg import Leg, record
 
 NOISE = {"torque_nm": 0.02, "passive_nm": 0.01, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}

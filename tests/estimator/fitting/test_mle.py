@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator import Method
-from estimator.errors import FitError
-from estimator.fitting.fit import fit
-from estimator.model.forward_simulation import simulate
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from estimator import FitError, FitOptions, Method, fit
+from estimator.model import leg2, simulate
 from tests.support.mujoco_leg import Leg, random_leg, record
 
 RIGID = slice(0, 5)
@@ -107,23 +103,3 @@ def test_a_gap_splits_a_run_instead_of_being_filled(legs: list[tuple[Leg, Datase
     assert found.samples == 2000 - 60
     assert len(found.trajectories) == 2
     assert np.max(np.abs(found.beta[RIGID] / leg.beta()[RIGID] - 1)) < 0.015
-
-
-def test_a_knee_that_never_moves_leaves_a_combination_undetermined() -> None:
-    rng = np.random.default_rng(512)
-    n = 1500
-    t = np.arange(n) / 100
-    q1 = 0.5 * np.cos(5 * t) * np.exp(-0.05 * t)
-    columns = {"q1_rad": q1, "q2_rad": np.zeros(n), "tau2_nm": 0.3 * np.sin(q1) + 0.01 * rng.normal(size=n)}
-    found = fit([Dataset("locked", 100.0, t, columns)], leg2(), FitOptions(sensors="encoder"), "wls")
-    assert found.undetermined
-    assert found.open_parameters & {"beta1", "beta2"}
-
-
-def test_simulation_follows_mujoco() -> None:
-    leg = Leg(viscous=(0.02, 0.03), coulomb=(0.0, 0.0))
-    run = record(leg, np.random.default_rng(513), seconds=6, gyro=0, accel=0, torque=0, counts=2**40)
-    tau = np.stack([np.zeros(len(run)), run["tau2_nm"]], axis=-1)
-    q, _, _ = simulate(leg2(), leg.beta(), np.zeros(2), np.zeros(2), tau, 0.01)
-    np.testing.assert_allclose(q[:, 0], run["q1_rad"], atol=2e-4)
-    np.testing.assert_allclose(q[:, 1], run["q2_rad"], atol=5e-4)

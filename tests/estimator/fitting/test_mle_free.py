@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimator.fitting.fit import fit
+from estimator import FitOptions, fit
 from estimator.fitting.mle_free import FreeProblem, build_problem, difference_matrix, first_latents, minimise
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.signals.filters import central_difference, lowpass
-from estimator.signals.segments import split_signals
-from studies.biped3.study import CASES, case_options, noisy_record
-from studies.rk4_free_run import free_runs
+from estimator.model import leg2
+from estimator.signals import lowpass, split_signals
+from estimator.signals.filters import central_difference
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record
 from studies.walker import motor_mechanism, one_step
 from tests.support.mujoco_leg import Leg, record
 
@@ -80,39 +79,6 @@ def test_minimum_agrees_with_a_general_solver() -> None:
     np.testing.assert_allclose(found.beta, problem.best_beta(problem.regressor(check.x)), rtol=1e-3)
 
 
-def papers_recipe(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, float]:
-    """(51) word for word: numerical gradient and Hessian of S, Newton's step, until nothing moves."""
-    def s(at: np.ndarray) -> float:
-        r = problem.residual(at)
-        return float(r @ r)
-
-    h = 3e-4 * problem.sigma
-    steps = np.diag(h)
-    for _ in range(4):
-        up, down, here = (np.array([s(w + k * d) for d in steps]) for k in (1, -1, 0))
-        hessian = np.diag((up - 2 * here + down) / h**2)
-        for i in range(w.size):
-            for j in range(i):
-                both = s(w + steps[i] + steps[j]) - s(w + steps[i] - steps[j])
-                both -= s(w - steps[i] + steps[j]) - s(w - steps[i] - steps[j])
-                hessian[i, j] = hessian[j, i] = both / (4 * h[i] * h[j])
-        w = w - np.linalg.solve(hessian, (up - down) / (2 * h))
-    return w, s(w)
-
-
-@pytest.mark.slow
-def test_the_papers_numerical_recipe_reaches_the_same_minimum() -> None:
-    mechanism, options = motor_mechanism(), case_options(CASES[1])
-    data = noisy_record(one_step().in_motor_angles(), CASES[1], 31, 0).part(slice(0, 24))
-    problem = build_problem(split_signals([data], mechanism, options), mechanism, options)
-    found = minimise(problem, first_latents(problem))
-    near = found.w + 0.005 * problem.sigma * np.random.default_rng(3).normal(size=found.w.size)
-    assert problem.residual(near) @ problem.residual(near) > 1.001 * found.objective
-    w, objective = papers_recipe(problem, near)
-    assert objective == pytest.approx(found.objective, rel=1e-6)
-    np.testing.assert_allclose(w, found.w, atol=0.01 * problem.sigma[0])
-
-
 @pytest.mark.parametrize("sensors", ["imu", "encoder"])
 def test_leg_is_found_as_well_as_differences_allow(sensors: str) -> None:
     leg = Leg()
@@ -120,11 +86,3 @@ def test_leg_is_found_as_well_as_differences_allow(sensors: str) -> None:
     result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, latent="free"), "mle")
     assert result.method == "mle-free" and result.converged
     np.testing.assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.06)
-
-
-def test_walker_error_is_that_of_the_papers_table() -> None:
-    """Table III prints 1.15 to 1.24 for its MLE; free latents give the same size here, the bias of differences."""
-    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
-    beta = np.array([minimise(p, first_latents(p)).beta for p in [walker_problem(1)]])
-    runs = free_runs(mechanism, beta, step.q[0], step.qd[0], step.torque, 0.01)
-    assert 0.05 < float(np.sum((runs.q[0] - step.q) ** 2)) < 5.0

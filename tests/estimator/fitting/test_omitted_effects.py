@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
-from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.mujoco_leg import Leg, recorded, scaled
 
 OPTIONS = FitOptions(seeks_omitted=True)
-
-
-def recorded(seed: int, count: int, seconds: float = 20.0) -> tuple[Leg, list[Dataset]]:
-    rng = np.random.default_rng(seed)
-    leg = random_leg(rng)
-    return leg, [record(leg, rng, seconds=seconds, name=f"run{k}") for k in range(count)]
-
-
-def with_gyro_scale(runs: list[Dataset], error: float) -> list[Dataset]:
-    return [replace(run, columns={**run.columns, "gyro_radps": (1.0 + error) * run["gyro_radps"]}) for run in runs]
 
 
 def fitted(leg: Leg, runs: list[Dataset], options: FitOptions = OPTIONS) -> FitResult:
@@ -40,8 +27,8 @@ def test_a_leg_without_a_fault_lacks_nothing(seed: int, count: int, seconds: flo
 @pytest.mark.parametrize(("count", "error"), [(1, 0.02), (4, 0.02), (1, -0.02)])
 def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: float) -> None:
     """The true parameters lie outside their intervals, about as far as is said."""
-    leg, runs = recorded(73, count)
-    result = fitted(leg, with_gyro_scale(runs, error))
+    leg, runs = recorded(73, count, 20.0)
+    result = fitted(leg, scaled(runs, "gyro_radps", 1.0 + error))
     found = {one.effect: one for one in result.omitted}
     assert result.omitted[0].p_value < 1e-6 and "gyro_scale" in found
     scale = found["gyro_scale"]
@@ -51,5 +38,5 @@ def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: f
 
 
 def test_a_fit_that_is_not_asked_does_not_look() -> None:
-    leg, runs = recorded(73, 1)
-    assert fitted(leg, with_gyro_scale(runs, 0.02), FitOptions()).omitted == ()
+    leg, runs = recorded(73, 1, 20.0)
+    assert fitted(leg, scaled(runs, "gyro_radps", 1.02), FitOptions()).omitted == ()

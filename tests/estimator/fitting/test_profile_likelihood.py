@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimator.fitting.fit import fit
+from estimator import fit
+from estimator.fitting import known_noise
 from estimator.fitting.fit_each import fit_each
-from estimator.fitting.profile_likelihood import expected_misfit, known_noise, search, suits
-from estimator.likelihood.batch_likelihood import BatchProblem, Records
-from estimator.likelihood.measured_runs import slack_of
-from estimator.model.collocation import Collocation
-from estimator.signals.segments import split_signals
-from studies.biped3.study import CASES, case_options, noisy_record, truth
+from estimator.fitting.profile_likelihood import expected_misfit, search, suits
+from estimator.likelihood import BatchProblem, Records, slack_of
+from estimator.model import Collocation
+from estimator.signals import split_signals
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record, truth
 from studies.walker import motor_mechanism, one_step
 
 MECHANISM = motor_mechanism()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.fitting.fit import fit
+from estimator import FitOptions, fit
 from estimator.fitting.rls import recursive_estimates
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from estimator.model import leg2
 from tests.support.mujoco_leg import Leg, record
 
 

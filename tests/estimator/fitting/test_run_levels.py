@@ -184,7 +184,6 @@ def test_levels_by_run_are_told(plant: Plant) -> None:
     found = fits(plant, TIMES, "imu", 1)[0]
     told = document_of(found).document["noise_by_run"]
     assert told["runs"] == ["run0", "run1", "run2", "run3"]
-    assert found.run_noise is not None
     assert told["levels"]["gyro_radps"] == pytest.approx(found.run_noise.levels["gyro_radps"])
     line, = (line for line in fit_text(document_of(found)).splitlines() if "gyro" in line and "differs" in line)
     assert line.startswith("noise of runs differs: gyro 0.009")

@@ -158,7 +158,6 @@ def test_what_is_given_stays_as_it_is_on_a_leg_that_nothing_drives() -> None:
     run, mechanism = swing(leg, rng, (1.0, -0.6), seconds=15.0), leg2()
     options = FitOptions(sensors="encoder", encoders=(0, 1), fixed={"beta5": leg.beta()[4], "beta8": 0.0, "beta9": 0.0})
     found = with_second_opinion([run], mechanism, options, fit_admissible([run], mechanism, options)).second_opinion
-    assert found is not None
     np.testing.assert_allclose(found.beta[:5], leg.beta()[:5], rtol=0.01)
     assert np.isnan(found.disagreement[[4, 7, 8]]).all() and found.beta[7] == 0.0
 

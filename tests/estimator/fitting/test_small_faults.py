@@ -8,10 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimator import fit
+from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
-from estimator.options import FitOptions
-from estimator.result import FitResult
 from tests.support.lab_readings import SMALL, read_with
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.timed_leg import Timing, record

@@ -10,23 +10,13 @@ import pytest
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
-from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.mujoco_leg import Leg, recorded, scaled
 
 DEFAULTS = FitOptions(tolerances={})
 
 
-def recorded(seed: int, count: int, seconds: float = 10.0) -> tuple[Leg, list[Dataset]]:
-    rng = np.random.default_rng(seed)
-    leg = random_leg(rng)
-    return leg, [record(leg, rng, seconds=seconds, name=f"run{k}") for k in range(count)]
-
-
 def fitted(leg: Leg, runs: list[Dataset], options: FitOptions) -> FitResult:
     return fit(runs, leg2(lever_arm=leg.lever), options)
-
-
-def changed(runs: list[Dataset], column: str, factor: float) -> list[Dataset]:
-    return [replace(run, columns={**run.columns, column: factor * run[column]}) for run in runs]
 
 
 def held(result: FitResult, leg: Leg) -> int:
@@ -39,7 +29,6 @@ def test_parts_add_up_and_the_largest_is_the_torque_constant(count: int) -> None
     leg, runs = recorded(11, count)
     result = fitted(leg, runs, DEFAULTS)
     budget = result.budget
-    assert budget is not None
     assert np.sum([part.covariance for part in budget.parts], axis=0) == pytest.approx(result.covariance, rel=1e-6)
     gain = budget.part("torque_gain")
     assert gain is not None and gain.tolerance == (0.05,)
@@ -57,7 +46,7 @@ def test_without_tolerances_a_fit_is_what_it_was() -> None:
 
 def test_a_wrong_torque_constant_within_its_tolerance_stays_within_the_intervals() -> None:
     leg, runs = recorded(13, 1)
-    wrong = changed(runs, "tau2_nm", 1.06)
+    wrong = scaled(runs, "tau2_nm", 1.06)
     assert held(fitted(leg, wrong, FitOptions()), leg) < 5
     assert held(fitted(leg, wrong, DEFAULTS), leg) == 9
 
@@ -68,14 +57,13 @@ def test_a_parameter_that_is_known_tells_the_torque_constant() -> None:
     known = {"beta5": float(leg.beta()[4])}
     free = fitted(leg, runs, DEFAULTS).budget
     told = fitted(leg, runs, replace(DEFAULTS, fixed=known)).budget
-    assert free is not None and told is not None
     before, after = free.part("torque_gain"), told.part("torque_gain")
     assert before is not None and after is not None and after.std[0] < 0.3 * before.std[0]
 
 
 def test_a_gyro_within_its_tolerance_is_learnt_where_the_runs_show_it() -> None:
     leg, runs = recorded(15, 3)
-    wrong = changed(runs, "gyro_radps", 1.01)
+    wrong = scaled(runs, "gyro_radps", 1.01)
     tolerances = {"torque_gain": (0.0,)}
     plain, moved = fitted(leg, wrong, FitOptions()), fitted(leg, wrong, FitOptions(tolerances=tolerances))
     far = [float(np.abs(one.beta / leg.beta() - 1.0)[:5].max()) for one in (plain, moved)]
@@ -85,7 +73,6 @@ def test_a_gyro_within_its_tolerance_is_learnt_where_the_runs_show_it() -> None:
 def test_stated_tolerances_go_before_the_defaults() -> None:
     leg, runs = recorded(16, 1)
     small = fitted(leg, runs, FitOptions(tolerances={"torque_gain": (0.001,), "none": ()}))
-    assert small.budget is not None
     assert [part.source for part in small.budget.parts if part.source not in ("noise", "scatter")] == ["torque_gain"]
     one = fitted(leg, runs, FitOptions(tolerances={"joint_stiffness@2": (0.2,), "none": ()})).budget
     assert one is not None and one.part("joint_stiffness@2") is not None and one.part("joint_stiffness@1") is None

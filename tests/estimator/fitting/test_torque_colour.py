@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator import FitOptions
 from estimator.fitting.excerpt import excerpt
 from estimator.fitting.torque_colour import torque_colour
-from estimator.likelihood import LatentProblem, Latents, Noise, State
+from estimator.likelihood import LatentProblem, Noise
 from estimator.model import leg2
-from estimator.options import FitOptions
-from estimator.result import RESIDUAL_LAGS
-from estimator.signals.segments import split_signals
-from tests.support.dense_chain import dense
+from estimator.signals import split_signals
+from tests.support.dense_chain import at_measured, residual_colour
 from tests.support.mujoco_leg import Leg, record
 
 SMOOTH = Leg(coulomb=(0.0, 0.0))
@@ -20,7 +19,6 @@ SMOOTH = Leg(coulomb=(0.0, 0.0))
 
 @pytest.mark.parametrize("sensors", ["imu", "encoder"])
 def test_it_is_that_of_the_residual_s_covariance(sensors: str) -> None:
-    """Of y - y_hat by a smoother it is R - H P H^T (Rauch, Tung, Striebel, AIAA J. 3, 1965)."""
     mechanism = leg2(lever_arm=SMOOTH.lever)
     data = record(SMOOTH, np.random.default_rng(9), rate_hz=100.0, seconds=6.0)
     signals = split_signals([data], mechanism, FitOptions(sensors=sensors))
@@ -28,15 +26,8 @@ def test_it_is_that_of_the_residual_s_covariance(sensors: str) -> None:
     with_imu = sensors == "imu"
     noise = Noise(np.array([0.001, 0.01]), np.array([np.inf if with_imu else 3e-4, 3e-4]),
                   *((np.array([0.005]), np.full((1, 2), 0.2)) if with_imu else ()))
-    q = np.stack([data["q1_rad"], data["q2_rad"]], axis=-1)
-    beta = SMOOTH.beta()
-    beta[7:] = 0.0
-    state = State(Latents(q, np.gradient(q, 0.01, axis=0), problem.torque.copy()), beta, noise, np.zeros((9, 9)))
-    found = torque_colour(problem, state, signals)
-    covariance = np.linalg.inv(dense(problem.motion_equations(state.x, beta, noise).chain))
-    of_knee = 2 * problem.n + 1 + problem.block * np.arange(problem.total)
-    left = 0.01**2 * np.eye(problem.total) - covariance[np.ix_(of_knee, of_knee)]
-    wanted = np.array([np.trace(left, k) for k in range(1, RESIDUAL_LAGS + 1)]) / np.trace(left)
+    state = at_measured(problem, data, SMOOTH.beta(), noise)
+    found, wanted = torque_colour(problem, state, signals), residual_colour(problem, state, 0.01)
     assert found[1] == pytest.approx(wanted, abs=0.06) and not found[0].any()
     assert (wanted[0] > 0.5) == (sensors == "encoder")  # an accelerometer shows the torque at once
 

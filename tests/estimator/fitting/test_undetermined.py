@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
-from estimator import Method
-from estimator.fitting.fit import estimate, fit
+from daq import Dataset
+from daq.runs import write_csv
+from estimator import FitOptions, Method, fit
+from estimator.fitting import weighted_least_squares
+from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import name_directions, undetermined
-from estimator.fitting.wls import weighted_least_squares
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from estimator.model import leg2
 from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
 from tests.support.prescribed import BETA, arm_run

@@ -9,15 +9,14 @@ import pytest
 
 from daq import Dataset
 from estimator import FitOptions, fit
-from estimator.fitting.latent_motion import converge_motion
+from estimator.fitting import converge_motion
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import log_marginal
 from estimator.likelihood import GaussRows, LatentProblem, Latents, Noise, State, unseen_level
 from estimator.model import leg2
 from estimator.numerics import eliminate
-from estimator.result import RESIDUAL_LAGS
-from estimator.signals.segments import split_signals
-from tests.support.dense_chain import dense
+from estimator.signals import split_signals
+from tests.support.dense_chain import at_measured, dense, residual_colour
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.mujoco_leg import record as in_mujoco
 from tests.support.timed_leg import Timing, record
@@ -33,11 +32,7 @@ def small() -> tuple[LatentProblem, State, Dataset]:
     problem = LatentProblem(split_signals([data], mechanism, FitOptions()), mechanism, "zero")
     noise = Noise(np.array([0.001, 0.01]), np.array([np.inf, 3e-4]), np.array([0.005]), np.full((1, 2), 0.1),
                   unseen=np.array([0.0, LEVEL]))
-    q = np.stack([data["q1_rad"], data["q2_rad"]], axis=-1)
-    beta = SMOOTH.beta()
-    beta[7:] = 0.0
-    state = State(Latents(q, np.gradient(q, 0.01, axis=0), problem.torque.copy()), beta, noise, np.zeros((9, 9)))
-    return problem, converge_motion(problem, state, 40), data
+    return problem, converge_motion(problem, at_measured(problem, data, SMOOTH.beta(), noise), 40), data
 
 
 def rows_at(problem: LatentProblem, x: Latents, beta: np.ndarray) -> GaussRows:
@@ -97,11 +92,7 @@ def test_the_torque_s_colour_knows_of_it() -> None:
     """Against R - H P H^T, to which it adds nothing: the samples' noise is their sensor's."""
     problem, state, data = small()
     found = torque_colour(problem, state, split_signals([data], problem.mechanism, FitOptions()))
-    covariance = np.linalg.inv(dense(problem.motion_equations(state.x, state.beta, state.noise).chain))
-    of_knee = 2 * problem.n + 1 + problem.block * np.arange(problem.total)
-    left = 0.01**2 * np.eye(problem.total) - covariance[np.ix_(of_knee, of_knee)]
-    wanted = np.array([np.trace(left, k) for k in range(1, RESIDUAL_LAGS + 1)]) / np.trace(left)
-    assert found[1] == pytest.approx(wanted, abs=0.1)
+    assert found[1] == pytest.approx(residual_colour(problem, state, 0.01), abs=0.1)
 
 
 @pytest.mark.parametrize(("loop", "counts", "there"), [("pd", 4096, True), ("open", 4096, False)])

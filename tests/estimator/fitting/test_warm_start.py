@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import FitOptions, fit
 from estimator.fitting import motion_search, warm_start
-from estimator.fitting.fit import fit
 from estimator.fitting.warm_start import LEAST, WORTH, excerpt
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.normal_equations import Latents
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.signals.segments import LEAST_SEGMENT, SignalSet, split_signals
+from estimator.likelihood import LatentProblem, Latents
+from estimator.model import leg2
+from estimator.signals import LEAST_SEGMENT, SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, random_leg, record
 
 OPTIONS = FitOptions(sensors="imu")

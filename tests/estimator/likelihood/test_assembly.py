@@ -7,18 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator import Effect
 from estimator.effects import library
-from estimator.effects.base import Effect
-from estimator.likelihood import latent_problem
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.stage import Candidate, Stage
+from estimator.likelihood import Candidate, LatentProblem, Latents, Linearised, Noise, Stage, latent_problem
+from estimator.model import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.chain import chain
-from estimator.model.mechanism import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
-from estimator.signals.imu import imu_columns
-from estimator.signals.segments import SignalSet
+from estimator.signals import SignalSet, imu_columns
 from tests.support import assembly_numpy
 from tests.support.equations import normal
 
@@ -70,6 +65,9 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
     for name, known in normal(plain).items():
         atol = 1e-10 * np.abs(known).max(initial=0.0)
         np.testing.assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
+    for name, known in plain.residuals.items():
+        np.testing.assert_allclose(fast.residuals[name], known, rtol=0.0, atol=1e-10 * np.abs(known).max(),
+                                   err_msg=name)
 
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])

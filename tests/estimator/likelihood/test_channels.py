@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.effects import Effect, classes
+from estimator import Effect
+from estimator.effects import classes
 from estimator.likelihood import LatentProblem, Latents, Noise, Stage, effective_samples
 from estimator.model import chain
 from estimator.signals import Channel, SignalSet, torque_of

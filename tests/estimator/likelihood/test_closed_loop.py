@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from daq import Dataset
-from estimator.effects import Around, Effect, LawEffect, Points, Told, by_motion, classes
+from estimator import Effect, FitOptions
+from estimator.effects import Around, LawEffect, Points, Told, by_motion, classes
 from estimator.effects.encoder_eccentricity import EncoderEccentricity
 from estimator.effects.encoder_scale import EncoderScale
 from estimator.free_runs import FittedModel
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import leg2
-from estimator.options import FitOptions
-from estimator.prediction import SmoothedRun, smooth, white_noise
-from estimator.prediction.floor import floor_errors
+from estimator.prediction import SmoothedRun, floor_errors, smooth, white_noise
 from estimator.signals import encoder_of
 from tests.support.mujoco_leg import Leg
 from tests.support.servo_leg import COUNTS, ServoFaults, follow, with_torque

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.effects import Effect, classes
+from estimator import Effect
+from estimator.effects import classes
 from estimator.likelihood import LatentProblem, Latents, Noise, Stage
 from estimator.likelihood.correlated_torque import whole_samples
 from estimator.model import leg2

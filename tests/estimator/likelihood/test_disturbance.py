@@ -7,14 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.likelihood.disturbance import Process
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.model.mechanism import Mechanism, joint1, leg2
+from estimator.likelihood import LatentProblem, Latents, Noise, Process
+from estimator.model import Mechanism, joint1, leg2
 from estimator.numerics import BlockTridiagonal, eliminate
-from estimator.signals.imu import imu_columns
-from estimator.signals.segments import SignalSet
+from estimator.signals import SignalSet, imu_columns
 
 DT, ENDS = 0.01, np.array([70, 115])
 NOISE = Noise(np.array([0.02, 0.05]), np.full(2, 1e-3), np.array([0.01]), np.array([[0.1, 0.1]]),

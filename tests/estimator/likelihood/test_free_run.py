@@ -10,25 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import fit_nominal, refit
-from estimator.effects.backlash import Backlash
-from estimator.effects.base import Effect
+from estimator.effects import Backlash, EncoderOffset, StribeckFriction
 from estimator.effects.base_compliance import BaseCompliance
-from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.presliding_friction import PreslidingFriction
 from estimator.effects.rotor_inertia import RotorInertia
-from estimator.effects.stribeck_friction import StribeckFriction
 from estimator.effects.torque_saturation import TorqueSaturation
-from estimator.likelihood import LatentProblem, Stage
+from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction, pieces
 from estimator.likelihood.effective_samples import effective_samples
-from estimator.likelihood.free_run import _Plant, free_run, pieces
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.state import State
-from estimator.likelihood.stiction import find_stiction
-from estimator.model.mechanism import Mechanism, joint1, leg2
-from estimator.options import FitOptions
+from estimator.likelihood.free_run import _Plant, free_run
+from estimator.model import Mechanism, joint1, leg2
 from estimator.signals import SignalSet, torque_of
 from tests.support.mujoco_leg import Leg, record
 
@@ -105,7 +98,6 @@ def test_pieces_simulated_together_are_those_simulated_one_by_one(
         together = free_run(problem, state, torque, 0.1)
     plant = _Plant(problem, state, torque)
     nothing = np.zeros((2, 2, problem.left.size))
-    assert together is not None
     for where in pieces(problem, 0.1):
         start = given.q[where.start], given.v[where.start]
         q, v = plant.run(where, given.q, given.v, start, nothing)
@@ -216,7 +208,6 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
     noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), np.ones(1), np.full((1, 2), 20.0))
     x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
     point = problem.linearise(x, beta, noise)
-    assert point.extra is not None
     gradient = point.chain.right[:, :, 0]
     for k in (0, 7, 31, count - 1):
         step = np.zeros((count, problem.block))

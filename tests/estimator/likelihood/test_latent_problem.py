@@ -5,20 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator.fitting import stopping
-from estimator.fitting.fit import fit
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import start_state
-from estimator.fitting.wls import free_mask
-from estimator.likelihood import latent_problem
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.signals.segments import split_signals
-from tests.support import assembly_numpy
+from daq import Dataset
+from estimator import FitOptions, fit
+from estimator.fitting import free_mask, iterate, start_state, stopping
+from estimator.likelihood import LatentProblem, Latents, Noise, latent_problem
+from estimator.model import leg2
+from estimator.signals import split_signals
 from tests.support.equations import normal
 from tests.support.mujoco_leg import Leg, random_leg, record
 
@@ -33,11 +25,6 @@ def squares_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def in_pieces_of(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latent_problem, "PIECE", samples)
-
-
-def by_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Normal equations without compiled code."""
-    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
 
 
 def stricter(tolerance: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,23 +82,6 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
         np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11 * np.abs(a).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("piece", [37, latent_problem.PIECE])
-def test_compiled_normal_equations_are_those_by_arrays(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
-                                                      piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem, x, beta, noise = broken
-    in_pieces_of(piece, monkeypatch)
-    beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
-    fast = problem.linearise(x, beta, noise)
-    by_arrays(monkeypatch)
-    plain = problem.linearise(x, beta, noise)
-    assert fast.objective == pytest.approx(plain.objective, rel=1e-11)
-    for name, a in normal(plain).items():
-        b = normal(fast)[name]
-        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
-    for name, a in plain.residuals.items():
-        np.testing.assert_allclose(fast.residuals[name], a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
-
-
 @pytest.mark.usefixtures("squares_alone")
 def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("casadi", reason="needs the extra `bench`")
@@ -140,15 +110,3 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     strict = fit([run], mechanism, OPTIONS)
     assert found.converged and strict.converged
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
-
-
-def test_a_fit_by_arrays_ends_at_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    leg = Leg()
-    run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
-    options = FitOptions(sensors="imu", fixed={"beta9": 0.05})
-    fast = fit([run], mechanism, options)
-    by_arrays(monkeypatch)
-    plain = fit([run], mechanism, options)
-    assert fast.iterations == plain.iterations
-    np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
-    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-7 * np.abs(plain.covariance).max())

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from daq import Dataset, FloatArray
+from estimator import Diagnosis
 from estimator.change import Change, with_changed_law
-from estimator.diagnosis import Diagnosis, with_law
+from estimator.diagnosis import with_law
 from estimator.effects import classes
 from estimator.loops import (
     LAW_FAULTS,

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from estimator.model import Collocation, leg2
-from estimator.model.collocation import GAUSS
+from estimator.model import GAUSS, Collocation, leg2
 
 DT = 0.02
 

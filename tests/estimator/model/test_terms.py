@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.model import Collocation, Mechanism, Motion, Parameter, biped3, joint1, leg2
 from estimator.model.chain import chain
-from estimator.model.collocation import Collocation
-from estimator.model.mechanism import Mechanism, Parameter, biped3, joint1, leg2
-from estimator.model.terms import TERMS, Motion
+from estimator.model.terms import TERMS
 from tests.support.assembly_numpy import evaluate
 
 EVERY = leg2(rotor_inertia=(1,), torque_offset=(0, 1))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.numerics.block_cholesky_numba import eliminate
-from estimator.numerics.block_tridiagonal import BlockTridiagonal
+from estimator.numerics import BlockTridiagonal, eliminate
 
 
 def chain(n: int, b: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,17 +13,10 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from daq import FloatArray
+from estimator import FitError
 from estimator.effects import Points, StateTorque, Table, Variable
-from estimator.errors import FitError
 from estimator.model import leg2, smooth_sign
-from estimator.prediction import predict_run
-from estimator.prediction.learnt_structure import (
-    find_structure,
-    outside_range,
-    where_of,
-    with_torques,
-)
-from estimator.prediction.smoothing import smooth_segments
+from estimator.prediction import find_structure, outside_range, predict_run, smooth_segments, where_of, with_torques
 from estimator.prediction.torque_regression import Samples, correlation_time, learn_torque
 from tests.support.learnt import FRICTION_VELOCITY, OPTIONS, hidden_magnet, magnet, runs_of, true_model
 from tests.support.ornstein_uhlenbeck import draw

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator.model.mechanism import joint1, leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from estimator import FitOptions
+from estimator.model import joint1, leg2
 from estimator.prediction import (
     HORIZONS_S,
     FittedModel,
@@ -24,9 +24,9 @@ from estimator.prediction import (
     tabulate,
 )
 from estimator.signals import split_signals
-from experiments.cli import main
 from experiments.cli.main import build_parser
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, swing_run, written
+from tests.support.shell import Shell
 
 ARM = leg2(actuated=(0, 1))
 OPTIONS = FitOptions(sensors="encoder")
@@ -123,20 +123,19 @@ def test_the_default_horizons_are_those_of_the_help() -> None:
         assert told in " ".join(parser.format_help().split())
 
 
-def test_validate_prints_horizons_with_baseline_noise_and_another_model(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_validate_prints_horizons_with_baseline_noise_and_another_model(tmp_path: Path, shell: Shell) -> None:
     runs = written([arm_run(k, seconds=6.0) for k in range(3)], tmp_path)
     rig, model, other, out = (tmp_path / name for name in ("rig.toml", "model.json", "other.json", "out.json"))
     rig.write_text(ARM_RIG)
-    assert main(["fit", *runs[:2], "--rig", str(rig), "--model-out", str(model)]) == 0
+    shell("fit", *runs[:2], "--rig", rig, "--model-out", model)
     document = json.loads(model.read_text())
     document["parameters"][3]["value"] *= 1.2
     other.write_text(json.dumps(document))
-    capsys.readouterr()
+    shell.read()
     words = ["validate", str(model), *runs[1:], "--rig", str(rig), "--against", str(other), "--json", str(out),
              "--horizons", "0.25,0.1"]
-    assert main(words) == 0
-    printed = capsys.readouterr()
+    shell(*words)
+    printed = shell.read()
     assert "model.json was fitted to run1.csv" in printed.err and "run2.csv" not in printed.err
     assert "last velocity" in printed.out and "noise alone" in printed.out
     found = json.loads(out.read_text())

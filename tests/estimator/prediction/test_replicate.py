@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator import FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import fit_nominal
 from estimator.model import leg2
-from estimator.options import FitOptions
-from estimator.prediction.replicate import draw_replicate, simulate_run
+from estimator.prediction import draw_replicate, simulate_run
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.prescribed import arm_run
 

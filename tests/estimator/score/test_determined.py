@@ -9,20 +9,18 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
+from estimator import Diagnosis, Effect, FitOptions
 from estimator.diagnosis.account import finding
 from estimator.diagnosis.context import DiagnosisContext, assess, scored
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation, admissible, indistinguishable_set, undetermined
 from estimator.diagnosis.model import fit_nominal
-from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.search import exchanged, fit_sets, reduced
-from estimator.effects import Effect
-from estimator.effects.base import Points, View
+from estimator.effects import Points, View
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.torque_offset import TorqueOffset
 from estimator.likelihood import Candidate
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.prediction import white_noise
 from estimator.score import Score, determined
 from tests.support.mujoco_leg import Leg, record

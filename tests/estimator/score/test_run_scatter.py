@@ -9,23 +9,12 @@ import pytest
 from scipy.special import stdtrit
 from scipy.stats import chi2
 
-from daq.dataset import Dataset, FloatArray
-from estimator.fitting.fit import fit
+from daq import Dataset, FloatArray
+from estimator import FitOptions, FitResult, fit
 from estimator.fitting.mle import fit_mle
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.result import FitResult
-from estimator.score.run_scatter import (
-    agreement_of,
-    arrays,
-    homogeneity,
-    random_effects,
-    robust_covariance,
-    student_quantile,
-)
-from estimator.score.run_scores import RunScores
-from estimator.score.score import Score
-from estimator.score.score_tests import ALPHA
+from estimator.model import leg2
+from estimator.score import ALPHA, RunScores, Score, agreement_of, robust_covariance, student_quantile
+from estimator.score.run_scatter import arrays, homogeneity, random_effects
 from tests.support.mujoco_leg import Leg, record
 
 SIGMA = 0.5

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.model import Model, fit_nominal, refit, run_states
-from estimator.effects import Effect, battery, classes, library
+from estimator.effects import battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
-from estimator.options import FitOptions
 from estimator.score import NO_TESTS, least_sigmas, score_alone, score_at
 from tests.support.mujoco_leg import Leg, record
 

@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from estimator.errors import FitError
+from estimator import FitError, FitOptions
 from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
-from estimator.options import FitOptions
 from estimator.signals import (
     accelerometer_at,
     accelerometer_slopes,

@@ -6,23 +6,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.calibration.imu import AXES, StillRecord, calibrate_accel, calibrate_gyro
-from daq.errors import InputError, WorkError
-from daq.rig import Calibration, load_rig, parse_rig
-from daq.rig_text import set_values
-from daq.runs.mcap_run import RunWriter
-from daq.si_units import imu_columns
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.lsm9ds1_selftest import SelfTest
-from drivers.mock.clock import VirtualClock
+from daq import Calibration, InputError, WorkError, imu_columns, load_rig, parse_rig, set_values
+from daq.calibration import StillRecord, calibrate_accel, calibrate_gyro
+from daq.calibration.imu import AXES
+from daq.runs import RunWriter
+from drivers import ImuConfig, Lsm9ds1, SelfTest
+from drivers.mock import ImuSettings, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import ImuSettings
+from experiments.calibrate import store
 from experiments.calibrate.imu import record_still
-from experiments.calibrate.outcome import Outcome, store
-from experiments.cli import main
+from experiments.calibrate.outcome import Outcome
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -155,17 +151,17 @@ def write_still(path: Path, axis: str, seed: int) -> None:
     writer.close()
 
 
-def test_the_command_on_six_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_on_six_files(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG)
     paths = []
     for k, axis in enumerate(AXES):
         paths.append(str(tmp_path / f"{k}.mcap"))
         write_still(Path(paths[-1]), axis, k)
-    assert main(["calibrate", "imu", *paths, "--rig", str(rig), "--dry-run"]) == 0
+    shell("calibrate imu", *paths, "--rig", rig, "--dry-run")
     assert rig.read_text() == RIG
-    assert main(["calibrate", "imu", *paths, "--rig", str(rig)]) == 0
-    out = capsys.readouterr().out
+    shell("calibrate imu", *paths, "--rig", rig)
+    out = shell.out
     assert "gyro x" in out and "density" in out
     found = load_rig(rig).calibration
     np.testing.assert_allclose(found.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
@@ -174,8 +170,8 @@ def test_the_command_on_six_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     left = load_rig(rig).tolerances  # of the bias alone, both axes alike, far below the default of 0.1
     assert set(left) == {"accelerometer_bias"}
     assert left["accelerometer_bias"][0] == left["accelerometer_bias"][1] < 0.01
-    assert main(["calibrate", "imu", *paths[:2], "--rig", str(rig)]) == 2
-    assert "one still record, or six" in capsys.readouterr().err
+    shell("calibrate imu", *paths[:2], "--rig", rig, status=2)
+    assert "one still record, or six" in shell.err
 
 
 class Bench:
@@ -195,8 +191,7 @@ class Bench:
             self.next_ns += 1e9 / self.chip.rate_hz
 
 
-def test_the_command_on_the_chip_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str],
-                                        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_on_the_chip_itself(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     bench, rig = Bench(), tmp_path / "rig.toml"
     rig.write_text(RIG + "[devices.imu]\n")
     monkeypatch.setattr("experiments.rig.devices.open_bus", lambda path: bench.chip)
@@ -204,15 +199,15 @@ def test_the_command_on_the_chip_itself(tmp_path: Path, capsys: pytest.CaptureFi
     monkeypatch.setattr(Lsm9ds1.__init__, "__defaults__", (0x6B, None, now_ns, 400.0, sleep))
     monkeypatch.setattr(SelfTest.__init__, "__defaults__", (sleep, now_ns))
     monkeypatch.setattr(record_still, "__defaults__", (now_ns, sleep))
-    assert main(["calibrate", "imu", "--rig", str(rig), "--seconds", "20", "--self-test"]) == 0
-    out = capsys.readouterr().out
+    shell("calibrate imu --rig", rig, "--seconds 20 --self-test")
+    out = shell.out
     assert "accelerometer passed" in out and "gyroscope passed" in out
     np.testing.assert_allclose(load_rig(rig).calibration.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
     bench.chip.self_test_dps = 0.0
-    assert main(["calibrate", "imu", "--rig", str(rig), "--seconds", "20", "--self-test"]) == 1
-    assert "self-test failed" in capsys.readouterr().err
+    shell("calibrate imu --rig", rig, "--seconds 20 --self-test", status=1)
+    assert "self-test failed" in shell.err
     rig.write_text(RIG)
-    assert main(["calibrate", "imu", "--rig", str(rig)]) == 2
+    shell("calibrate imu --rig", rig, status=2)
 
 
 def test_an_emulated_chip_errs_by_what_the_calibration_takes_out() -> None:

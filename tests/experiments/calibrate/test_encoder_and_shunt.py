@@ -6,20 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.calibration.knee_zero import Stop, friction_cone, hanging_zero, straight_zero
-from daq.errors import WorkError
-from daq.rig import load_rig
-from daq.runs.blocks import BLOCKS, Mean, mean_of
+from daq import WorkError, load_rig
+from daq.calibration import Stop, friction_cone, hanging_zero, straight_zero
+from daq.runs import BLOCKS, Mean, mean_of
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from experiments.cli import main
-from experiments.emulation.plant import LegBody, LegPlant
-from experiments.models.model_file import save_model
-from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.emulation import LegBody
+from experiments.emulation.plant import LegPlant
+from tests.support.models import LEG, write_model
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -35,11 +32,11 @@ def rig(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def fails(capsys: pytest.CaptureFixture[str]) -> Fails:
+def fails(shell: Shell) -> Fails:
     def run(status: int, *args: str) -> str:
-        capsys.readouterr()
-        assert main(["calibrate", *args]) == status
-        err = capsys.readouterr().err
+        shell.read()
+        shell("calibrate", *args, status=status)
+        err = shell.err
         assert err.count("\n") == 1
         return err
     return run
@@ -126,14 +123,13 @@ def simulated_stops(count: int) -> list[tuple[float, float]]:
     return stops
 
 
-def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, fails: Fails,
-                                                     capsys: pytest.CaptureFixture[str]) -> None:
+def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, fails: Fails, shell: Shell) -> None:
     zero, step = 0.215, 2 * np.pi / 8192
     stops = simulated_stops(6)
     paths = [write_off(tmp_path / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
                        readings=hanging(q1, seed=k)) for k, (q1, q2) in enumerate(stops)]
-    assert main(["calibrate", "encoder", *paths, "--rig", str(rig)]) == 0
-    out, err = capsys.readouterr()
+    shell("calibrate encoder", *paths, "--rig", rig)
+    out, err = shell.read()
     assert "6 stops spread over" in out and err == ""
     found = load_rig(rig).calibration.knee_zero_rad
     assert found == pytest.approx(zero, abs=0.01)
@@ -147,16 +143,10 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
 
     body = LegBody()
-    names = ["beta1", "beta2", "beta3", "beta4", "beta5", "beta6", "beta7", "beta8", "beta9"]
-    model = Model(schema="legid.model/1", mechanism=MechanismSettings(model="leg2", actuated=(2,)),
-                  parameters=tuple(ParameterValue(name=n, meaning="", unit="", value=v)
-                                   for n, v in zip(names, body.beta())),
-                  covariance=tuple(tuple(0.0 for _ in names) for _ in names), noise={}, hold="linear",
-                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
-    save_model(model, tmp_path / "model.json")
-    assert main(["calibrate", "encoder", *paths[:2], "--rig", str(rig), "--model", str(tmp_path / "model.json")]) == 0
+    write_model(tmp_path / "model.json", list(body.beta()), LEG)
+    shell("calibrate encoder", *paths[:2], "--rig", rig, "--model", tmp_path / "model.json")
     cone = np.arcsin(body.coulomb[1] / (body.m2 * body.c2 * G))
-    assert f"the model's friction of +- {cone:.3f} rad" in capsys.readouterr().out
+    assert f"the model's friction of +- {cone:.3f} rad" in shell.out
     assert load_rig(rig).calibration.knee_zero_rad == pytest.approx(zero, abs=cone)
 
 
@@ -177,14 +167,13 @@ def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path,
     assert rig.read_text() == RIG
 
 
-def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
-                                                      capsys: pytest.CaptureFixture[str]) -> None:
+def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path, shell: Shell) -> None:
     inside = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
         path = write_off(tmp_path / f"{seed}.mcap", 2.0, current_a=0.031 + 0.02 * rng.standard_normal(400))
-        assert main(["calibrate", "shunt", path, "--rig", str(rig)]) == 0
-        out, err = capsys.readouterr()
+        shell("calibrate shunt", path, "--rig", rig)
+        out, err = shell.read()
         assert err == ""
         half = float(out.split("shunt offset: ")[1].split("+- ")[1].split(" ")[0])
         assert half == pytest.approx(2.09 * 0.02 / 20, rel=0.5)  # t of 19 degrees over the root of 400 samples
@@ -192,28 +181,27 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
         per_a = load_rig(rig).calibration.torque_constant_nm_per_a
         assert load_rig(rig).tolerances["torque_offset@2"][0] == pytest.approx(per_a * half / 1.96, rel=0.05)
     assert inside >= 17
-    assert main(["calibrate", "shunt", write_off(tmp_path / "dead.mcap"), "--rig", str(rig), "--dry-run"]) == 0
-    assert "is the sensor connected" in capsys.readouterr().err
+    shell("calibrate shunt", write_off(tmp_path / "dead.mcap"), "--rig", rig, "--dry-run")
+    assert "is the sensor connected" in shell.err
     warm = 0.02 * rng.standard_normal(4000) + np.linspace(0.0, 0.03, 4000)
-    assert main(["calibrate", "shunt", write_off(tmp_path / "w.mcap", 20.0, current_a=warm), "--rig", str(rig),
-                 "--dry-run"]) == 0
-    out, err = capsys.readouterr()
+    shell("calibrate shunt", write_off(tmp_path / "w.mcap", 20.0, current_a=warm), "--rig", rig, "--dry-run")
+    out, err = shell.read()
     assert "warning: w.mcap: the offset drifted by +0.03" in err and "would say" in out
     assert BLOCKS == 20
 
 
 # -- from the devices --------------------------------------------------------------------------------------------
 
-def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, shell: Shell,
                                                     monkeypatch: pytest.MonkeyPatch, fails: Fails) -> None:
     mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
         telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
     path = tmp_path / "rig.toml"
     with PtyServer(mock.firmware, mock.clock) as port:
         path.write_text(RIG + f'\n[devices.controller]\nport = "{port.path}"\nrate_hz = 200\n')
-        assert main(["calibrate", "shunt", "--rig", str(path), "--seconds", "1.5"]) == 0
-        assert main(["calibrate", "encoder", "--straight", "--rig", str(path), "--seconds", "1.2"]) == 0
-        assert "motor off" in capsys.readouterr().out
+        shell("calibrate shunt --rig", path, "--seconds 1.5")
+        shell("calibrate encoder --straight --rig", path, "--seconds 1.2")
+        assert "motor off" in shell.out
 
         def nobody(question: str) -> str:
             raise EOFError

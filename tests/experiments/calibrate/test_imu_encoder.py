@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig, parse_rig
-from estimator.calibration.imu_encoder import EncoderFit, Segment, fit_imu
-from estimator.errors import FitError
-from experiments.calibrate.imu_encoder import compare, read_moving
-from experiments.cli import main
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.excite.multisine import random_multisine
+from daq import load_rig, parse_rig
+from estimator import FitError
+from estimator.calibration import EncoderFit, Segment, fit_imu
+from experiments.calibrate import compare, read_moving
+from experiments.emulation import record_emulated
+from experiments.excite import random_multisine
 from studies.casebook import RIGS
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.paths import DEMO_RIG, REAL
+from tests.support.shell import Shell
 
 G = 9.81
 RATE = 100.0
@@ -124,7 +124,7 @@ def test_a_motion_that_does_not_tell_the_lever_leaves_it_where_it_was() -> None:
         fitted(WIDE, 8.0)
 
 
-def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_what_raw_readings_need(tmp_path: Path, shell: Shell) -> None:
     rng = np.random.default_rng(1)
     mount = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     t = np.arange(int(40 * IMU_HZ)) / IMU_HZ
@@ -135,10 +135,10 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytes
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.replace("imu_mount = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", f"imu_mount = {mount.tolist()}"))
     kept = rig.read_text()
-    assert main(["calibrate", "imu-encoder", path, "--rig", str(rig), "--dry-run"]) == 0
+    shell("calibrate imu-encoder", path, "--rig", rig, "--dry-run")
     assert rig.read_text() == kept
-    assert main(["calibrate", "imu-encoder", path, "--rig", str(rig)]) == 0
-    out = capsys.readouterr().out
+    shell("calibrate imu-encoder", path, "--rig", rig)
+    out = shell.out
     assert "gyro_scale" in out and "# the gearbox" in rig.read_text()
     found = load_rig(rig)
     assert found.imu.lever_arm_m == pytest.approx(TRUTH["lever_arm"], abs=2e-3)
@@ -153,8 +153,8 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytes
     assert again["gyro_scale"].value == pytest.approx(TRUTH["gyro_scale"], abs=3e-3)
 
     bare = write_off(tmp_path / "bare.mcap", 3.0, readings=raw[:700])
-    assert main(["calibrate", "imu-encoder", bare, "--rig", str(rig)]) == 2
-    assert "has no column q1_rad" in capsys.readouterr().err
+    shell("calibrate imu-encoder", bare, "--rig", rig, status=2)
+    assert "has no column q1_rad" in shell.err
 
 
 def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not RECORD.is_file(), reason="the shared real records are not beside the checkout")
-def test_a_public_record_of_an_imu_on_a_shaft(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_public_record_of_an_imu_on_a_shaft(shell: Shell) -> None:
     """Against the figures in the data's README, found there by other means (low pass of 3 Hz, plain regression)."""
     rig = load_rig(RIGS / "song_imu.toml")
     found = compare([read_moving(RECORD, rig)], rig)
@@ -191,12 +191,12 @@ def test_a_public_record_of_an_imu_on_a_shaft(capsys: pytest.CaptureFixture[str]
     assert abs(found["lever_arm"].value) < 0.003
     assert not found.lag_wanders
     assert (found.after[:, 0] < 0.5 * found.before[:, 0]).all()
-    assert main(["calibrate", "imu-encoder", str(RECORD), "--rig", str(RIGS / "song_imu.toml"), "--dry-run"]) == 0
-    assert "a CSV has calibrated ones" in capsys.readouterr().out
+    shell("calibrate imu-encoder", RECORD, "--rig", RIGS / "song_imu.toml", "--dry-run")
+    assert "a CSV has calibrated ones" in shell.out
 
 
-def test_without_a_sensor_at_the_pivot_nothing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_sensor_at_the_pivot_nothing_is_recorded(shell: Shell) -> None:
     """It asked for a minute of swinging first."""
-    assert main(["calibrate", "imu-encoder", "--rig", str(DEMO_RIG)]) == 2
-    said = capsys.readouterr()
+    shell("calibrate imu-encoder --rig", DEMO_RIG, status=2)
+    said = shell.read()
     assert "the rig has no [devices.pivot]" in said.err and "swing" not in said.out

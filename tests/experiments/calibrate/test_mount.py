@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from daq.rig import Calibration, load_rig
-from estimator.calibration.imu_mount import Readings, fit_mount
-from estimator.errors import FitError
-from experiments.cli import main
+from daq import Calibration, load_rig
+from estimator import FitError
+from estimator.calibration import Readings, fit_mount
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -115,8 +115,7 @@ def test_swings_too_small_are_refused(motion: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("hall_sign", [0, -1])
-def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, hall_sign: int,
-                                            capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, hall_sign: int, shell: Shell) -> None:
     rng = np.random.default_rng(4)
     # turned by a quarter and a little, as somebody screwed it on; rig.toml says nothing of it
     true = Rotation.from_euler("zyx", [90.0, 2.0, -3.0], degrees=True).as_matrix()
@@ -131,10 +130,10 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
              write_off(tmp_path / "swing.mcap", SECONDS, readings=swung, hall_rad=hall)]
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG)
-    assert main(["calibrate", "mount", *paths, "--rig", str(rig), "--dry-run"]) == 0
+    shell("calibrate mount", *paths, "--rig", rig, "--dry-run")
     assert rig.read_text() == RIG
-    assert main(["calibrate", "mount", *paths, "--rig", str(rig)]) == 0
-    out = capsys.readouterr().out
+    shell("calibrate mount", *paths, "--rig", rig)
+    out = shell.out
     found = load_rig(rig)
     wanted = true * (np.array([[-1.0], [1.0], [-1.0]]) if hall_sign else 1.0)
     turn = Rotation.from_matrix(np.array(found.calibration.imu_mount) @ wanted.T)
@@ -147,7 +146,7 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
     assert msgspec.structs.replace(found.calibration, imu_mount=Calibration().imu_mount,
                                    torque_constant_nm_per_a=1.0) == Calibration()
 
-    assert main(["calibrate", "mount", paths[0], "--rig", str(rig)]) == 1
-    assert "the leg swings in no record" in capsys.readouterr().err
-    assert main(["calibrate", "mount", paths[1], "--rig", str(rig)]) == 1
-    assert "leg hanging still" in capsys.readouterr().err
+    shell("calibrate mount", paths[0], "--rig", rig, status=1)
+    assert "the leg swings in no record" in shell.err
+    shell("calibrate mount", paths[1], "--rig", rig, status=1)
+    assert "leg hanging still" in shell.err

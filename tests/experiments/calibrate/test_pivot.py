@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
-from daq.runs.mcap_run import RunWriter
+from daq import load_rig
+from daq.runs import RunWriter
 from experiments import cli
 from tests.support.motor_off_runs import RIG
+from tests.support.shell import Shell
 
 TABLE = "[devices.pivot]\nsign = {sign}\n"
 
@@ -61,9 +62,8 @@ def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, capsys
 
 @pytest.mark.parametrize(("more", "status", "line"), [
     ({"status": 0}, 2, "holds 0 valid readings of a pivot sensor"), ({"drift": 0.1}, 1, "the pivot moved by 0.")])
-def test_what_is_no_rest_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: dict, status: int,
-                                    line: str) -> None:
+def test_what_is_no_rest_is_refused(tmp_path: Path, shell: Shell, more: dict, status: int, line: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG)
     run = write_stop(tmp_path / "a.mcap", 1.2, **more)
-    assert cli.main(["calibrate", "pivot", run, "--rig", str(tmp_path / "rig.toml")]) == status
-    assert line in capsys.readouterr().err
+    shell("calibrate pivot", run, "--rig", tmp_path / "rig.toml", status=status)
+    assert line in shell.err

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.errors import InputError
-from daq.rig import Calibration, load_rig, parse_rig
-from estimator.calibration.torque_constant import Weight
-from experiments import cli
-from experiments.calibrate.torque_constant import calibrate_torque_constant, find_holds
+from daq import Calibration, Dataset, InputError, load_rig, parse_rig
+from estimator.calibration import Weight
+from experiments.calibrate import calibrate_torque_constant
+from experiments.calibrate.torque_constant import find_holds
 from experiments.workflows.diagnose import with_known_gain
 from tests.support.hold_runs import Truth, hold_run
+from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[calibration]\ntorque_constant_nm_per_a = 0.85  # by the sheet\n'
 WEIGHT = Weight(0.5, 0.25, 0.0005, 0.0005)
@@ -73,16 +72,15 @@ def write_csv(run: Dataset, path: Path) -> str:
     return str(path)
 
 
-def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: Path,
-                                                                     capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: Path, shell: Shell) -> None:
     rng, rig = np.random.default_rng(2), tmp_path / "rig.toml"
     rig.write_text(RIG)
     bare, weighted = (write_csv(hold_run(Truth(), rng, m), tmp_path / f"{m}.csv") for m in (0.0, 0.5))
     order = ["calibrate", "shunt", bare, "--weighted", weighted, "--weight", "0.5", "--arm", "0.25", "--rig", str(rig)]
-    assert cli.main([*order, "--dry-run"]) == 0
+    shell(*order, "--dry-run")
     assert rig.read_text() == RIG
-    assert cli.main([*order, "--weight-error", "0.001", "--arm-error", "0.001"]) == 0
-    said, c = capsys.readouterr(), load_rig(rig).calibration
+    shell(*order, "--weight-error 0.001 --arm-error 0.001")
+    said, c = shell.read(), load_rig(rig).calibration
     assert c.torque_constant_nm_per_a == pytest.approx(0.85 * 1.07, rel=0.015) and "# by the sheet" in rig.read_text()
     assert c.torque_constant_half_nm_per_a == pytest.approx(0.006, abs=0.006)
     assert "the torque gain is 1.0" in said.out and "the interval assumes:" in said.out
@@ -96,11 +94,10 @@ def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: P
     (["--weight", "0.5"], "--arm: is None"), (["--weight", "-1", "--arm", "0.2"], "--weight: is -1"),
     (["--weight", "1", "--arm", "0.2"], "holds with the weight and without it are needed"),
     (["--weight", "1", "--arm", "0.2", "--arm-error", "-1"], "--arm-error: is -1")])
-def test_what_is_missing_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str],
-                                      line: str) -> None:
+def test_what_is_missing_is_asked_for(tmp_path: Path, shell: Shell, more: list[str], line: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG)
-    assert cli.main(["calibrate", "shunt", "--rig", str(tmp_path / "rig.toml"), *more]) == 2
-    assert line in capsys.readouterr().err
+    shell("calibrate shunt --rig", tmp_path / "rig.toml", *more, status=2)
+    assert line in shell.err
 
 
 def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
@@ -110,11 +107,10 @@ def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
         torque_constant_nm_per_a=0.9)
 
 
-def test_the_staircase_reaches_every_level_from_both_sides(tmp_path: Path) -> None:
+def test_the_staircase_reaches_every_level_from_both_sides(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "rig.toml").write_text(RIG)
     plan = tmp_path / "plan.csv"
-    assert cli.main(["excite", "--rig", str(tmp_path / "rig.toml"), "--holds", "3", "--peak", "0.9", "--out",
-                     str(plan)]) == 0
+    shell("excite --rig", tmp_path / "rig.toml", "--holds 3 --peak 0.9 --out", plan)
     torque = np.loadtxt(plan, delimiter=",", skiprows=1)[:, 1]
     held = torque[1:][np.diff(torque) == 0.0].tolist()
     levels = [held[0], *(b for a, b in pairwise(held) if a != b)]

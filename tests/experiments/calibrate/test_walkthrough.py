@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import load_rig
-from experiments.cli import main
-from experiments.emulation.served_rig import ServedRig
+from daq import load_rig
+from experiments.emulation import ServedRig
 from tests.support.motor_off_runs import RIG
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -93,18 +93,17 @@ def test_a_walk_with_a_failure_and_steps_left_out(tmp_path: Path) -> None:
     assert "# not yet known" in served.rig_path.read_text()
 
 
-def test_no_terminal_no_devices_and_an_early_end(tmp_path: Path, capsys: pytest.CaptureFixture[str],
-                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_terminal_no_devices_and_an_early_end(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(RIG + '\n[devices.imu]\nbus = "/dev/i2c-1"\n')
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-    assert main(["calibrate", "all", "--rig", str(path)]) == 2
-    assert "not a terminal" in (error := capsys.readouterr().err) and error.count("\n") == 1
+    shell("calibrate all --rig", path, status=2)
+    assert "not a terminal" in (error := shell.err) and error.count("\n") == 1
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: "s")
-    assert main(["calibrate", "all", "--rig", str(path)]) == 0
-    assert capsys.readouterr().out.count("has no [devices.controller]") == 2
+    shell("calibrate all --rig", path)
+    assert shell.out.count("has no [devices.controller]") == 2
     monkeypatch.setattr("builtins.input", lambda question: "q")
-    assert main(["calibrate", "all", "--rig", str(path)]) == 0
-    assert "Step 2" not in (said := capsys.readouterr().out) and "stopped here" in said
+    shell("calibrate all --rig", path)
+    assert "Step 2" not in (said := shell.out) and "stopped here" in said
     assert path.read_text().startswith(RIG)

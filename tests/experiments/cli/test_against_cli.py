@@ -11,31 +11,29 @@ from msgspec import structs
 
 from daq import load_rig
 from evidence.blind.stickslip import MAKERS
-from experiments import cli
 from experiments.models import load_model, save_model
 from experiments.session import prepare
 from experiments.workflows import as_reference
 from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.models import write_model
+from tests.support.packed_runs import stuck
 from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
+from tests.support.shell import Shell
 
 RIG = str(ROOT / "studies/rigs/dfki_diagnose.toml")
 ARM = REAL / "dfki_a0"
 
 
 @pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
-def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unchanged_arm_against_a_folder(tmp_path: Path, shell: Shell) -> None:
     for run in ("00", "02", "12"):
         shutil.copy(ARM / f"{run}.csv.gz", tmp_path)
-    rows = [line.split(",") for line in gzip.decompress((ARM / "02.csv.gz").read_bytes()).decode().splitlines()]
-    stuck = rows[0].index("q2_rad")
-    lines = [",".join([*row[:stuck], "0.3" if n else row[stuck], *row[stuck + 1 :]]) for n, row in enumerate(rows)]
-    (tmp_path / "bad.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    stuck(ARM / "02.csv.gz", tmp_path / "bad.csv.gz")
     out = tmp_path / "change.json"
     runs = [str(ARM / f"{run}.csv.gz") for run in ("01", "03")]
-    assert cli.main(["diagnose", *runs, "--against", str(tmp_path), "--rig", RIG, "--json", str(out)]) == 0
-    assert capsys.readouterr().out.startswith("No change: ")
+    shell("diagnose", *runs, "--against", tmp_path, "--rig", RIG, "--json", out)
+    assert shell.out.startswith("No change: ")
     found = json.loads(out.read_text())
     assert found["verdict"] == "no_change" and found["causes"] == []
     assert [run["run"] for run in found["set_aside"]] == ["reference bad.csv.gz"]
@@ -45,21 +43,21 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.Captur
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
 
 
-def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, shell: Shell) -> None:
     files, rig = leg_runs(tmp_path, MAKERS["gyro_scale"][0](1.0))
     earlier, runs = ([str(f) for f in some] for some in (files[:REFERENCE], files[REFERENCE : REFERENCE + 2]))
     prepared = prepare(earlier, load_rig(rig))
     path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
                        structs.asdict(prepared.setup.settings))
     words = ["diagnose", *runs, "--rig", str(rig), "--against"]
-    assert cli.main([*words, str(path)]) == 2
-    assert "does not hold how much its runs scatter; give the runs" in capsys.readouterr().err
+    shell(*words, path, status=2)
+    assert "does not hold how much its runs scatter; give the runs" in shell.err
     model = structs.replace(load_model(path), gear_ratio=prepared.setup.gear_ratio)
     save_model(as_reference(model, prepared), path)
     answers = []
     for reference in (earlier, [str(path)]):
         out = tmp_path / f"{len(reference)}-change.json"
-        assert cli.main([*words, *reference, "--json", str(out)]) == 0
+        shell(*words, *reference, "--json", out)
         answers.append(json.loads(out.read_text()))
     first, second = answers
     assert first["verdict"] == second["verdict"] and "gyro_scale" in {c["effect"] for c in first["causes"]}
@@ -72,21 +70,21 @@ def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, capsys: pyte
     broken = json.loads(path.read_text())
     broken["reference"]["columns"][3] = "another"
     path.write_text(json.dumps(broken))
-    assert cli.main([*words, str(path)]) == 2
-    assert "another library of effects" in capsys.readouterr().err
-    assert cli.main([*words, str(path), *earlier]) == 2
-    assert "is not the only reference" in capsys.readouterr().err
+    shell(*words, path, status=2)
+    assert "another library of effects" in shell.err
+    shell(*words, path, *earlier, status=2)
+    assert "is not the only reference" in shell.err
     rig.write_text(rig.read_text() + "\n[terms]\nencoder_zero = [2]\n")
-    assert cli.main([*words, str(path)]) == 2
-    assert "does not hold the encoders' zeros" in capsys.readouterr().err
+    shell(*words, path, status=2)
+    assert "does not hold the encoders' zeros" in shell.err
 
 
-def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, shell: Shell) -> None:
     for more, words in ((["--against", str(tmp_path)], "holds no run file"),
                         (["--against", "model.json"], "No such file"),
                         (["--against", "a.csv", "--fix", "beta1=1"], "does not go with --against")):
-        assert cli.main(["diagnose", "r.csv", *more, "--rig", RIG]) == 2
-        error = capsys.readouterr().err
+        shell("diagnose r.csv", *more, "--rig", RIG, status=2)
+        error = shell.err
         assert words in error and "Traceback" not in error
 
 
@@ -103,7 +101,7 @@ def late(source: Path, target: Path, seconds: float) -> None:
 
 
 @pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
-def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sessions_as_folders_and_as_runs(tmp_path: Path, shell: Shell) -> None:
     before, after = tmp_path / "before", tmp_path / "after"
     before.mkdir()
     after.mkdir()
@@ -113,8 +111,8 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureF
         late(Path(run), after / Path(run).name, 0.02)
     out = tmp_path / "sessions.json"
     page = tmp_path / "page.html"
-    assert cli.main(["compare", str(before), str(after), "--rig", RIG, "--json", str(out), "--html", str(page)]) == 0
-    said = capsys.readouterr().out
+    shell("compare", before, after, "--rig", RIG, "--json", out, "--html", page)
+    said = shell.out
     assert said.startswith("Different: torque_delay, delay 0.0") and " s.\n\nFrom before to after:" in said
     found = json.loads(out.read_text())
     (pair,), files = found["pairs"], found["provenance"]["runs"]
@@ -128,18 +126,17 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureF
     outside = Outside()
     outside.feed(html)
     assert outside.found == [] and outside.scripts == 0
-    assert cli.main(["compare", *first, "--with", *plain, "--with", str(after), "--rig", RIG]) == 0
-    rows = [line.split()[:3] for line in capsys.readouterr().out.splitlines()]
+    shell("compare", *first, "--with", *plain, "--with", after, "--rig", RIG)
+    rows = [line.split()[:3] for line in shell.out.splitlines()]
     assert ["A", "B", "no_change"] in rows and ["A", "C", "named"] in rows
 
 
-def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]
-                                                                ) -> None:
+def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, shell: Shell) -> None:
     for words, said in ((["a.csv", "b.csv"], "is neither a model nor a folder"),
                         ([str(tmp_path)], "is the only session"),
                         (["a.json", "b.json"], "needs a second model and runs after it"),
                         (["a.json", "b.json", "r.csv", "--workers", "2"], "belongs to a comparison of sessions"),
                         ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
-        assert cli.main(["compare", *words, "--rig", RIG]) == 2
-        error = capsys.readouterr().err
+        shell("compare", *words, "--rig", RIG, status=2)
+        error = shell.err
         assert said in error and "Traceback" not in error

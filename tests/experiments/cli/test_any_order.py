@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
+from daq import load_rig
 from daq.runs import read_csv
 from experiments.cli import main
 from experiments.exchange import load_map

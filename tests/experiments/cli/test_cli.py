@@ -11,27 +11,24 @@ from pkgutil import iter_modules
 import numpy as np
 import pytest
 
-from daq.errors import WorkError
-from daq.recording.plan import Plan, read_plan, write_plan
-from daq.rig import load_rig
-from daq.runs.csv_run import read_csv
-from daq.runs.mcap_run import read_run
-from drivers.errors import LinkLost
-from drivers.mock.clock import RealClock
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from estimator.errors import FitError
+from daq import WorkError, load_rig
+from daq.recording import Plan, write_plan
+from daq.runs import read_csv, read_run
+from drivers import LinkLost
+from drivers.mock import MockRig, PtyServer, RealClock
+from estimator import FitError
 from experiments import cli
 from experiments.cli.main import GROUPS
-from experiments.emulation.plant import LegBody, LegPlant
-from experiments.excite.multisine import random_multisine
-from experiments.judge.found_model import model_of
+from experiments.emulation.plant import LegPlant
+from experiments.excite import random_multisine
+from experiments.judge import model_of
+from experiments.models import save_model
 from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import save_model
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -78,14 +75,14 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert legid(name.rstrip("_").replace("_", "-"), "--help") == 0
-    assert len(capsys.readouterr().out) > 200
+def test_every_command_explains_itself(name: str, shell: Shell) -> None:
+    shell(name.rstrip("_").replace("_", "-"), "--help")
+    assert len(shell.out) > 200
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert legid("--version") == 0
-    assert capsys.readouterr().out.startswith("legid ")
+def test_version(shell: Shell) -> None:
+    shell("--version")
+    assert shell.out.startswith("legid ")
 
 
 @pytest.mark.parametrize("args", [
@@ -98,8 +95,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--rate", "0"],
     ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--start", "up"], ["record", "--rig", "r"],
 ])
-def test_bad_arguments(args: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--help" in fails(capsys, 2, *args)
+def test_bad_arguments(args: list[str], shell: Shell) -> None:
+    assert "--help" in shell.fails(*args)
 
 
 @pytest.mark.parametrize("args", [
@@ -109,10 +106,10 @@ def test_bad_arguments(args: list[str], capsys: pytest.CaptureFixture[str]) -> N
     ["record", "--rig", "none.toml", "--plan", "none.csv", "--out", "x.mcap"],
     ["diagnose", "none.csv", "--rig", "none.toml"],
 ])
-def test_missing_files_are_named(args: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path,
+def test_missing_files_are_named(args: list[str], shell: Shell, tmp_path: Path,
                                  monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "none." in fails(capsys, 2, *args)
+    assert "none." in shell.fails(*args)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -120,13 +117,13 @@ def test_missing_files_are_named(args: list[str], capsys: pytest.CaptureFixture[
     (FitError("cannot\nbe fitted"), 1), (WorkError("tripped"), 1), (LinkLost("gone"), 1), (KeyboardInterrupt(), 1),
     (ZeroDivisionError("oops"), 1),
 ])
-def test_every_failure_is_one_line(error: BaseException, status: int, capsys: pytest.CaptureFixture[str],
+def test_every_failure_is_one_line(error: BaseException, status: int, shell: Shell,
                                    monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(args: object) -> int:
         raise error
 
     monkeypatch.setattr("experiments.cli.commands.info.run", fail)
-    fails(capsys, status, "info", "x")
+    shell.fails("info x", status=status)
 
 
 def test_an_unexpected_error_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,40 +145,40 @@ def test_a_reader_that_leaves_is_no_fault(demo_run: Path) -> None:
 # -- looking into runs -------------------------------------------------------------------------------------
 
 
-def test_info_tells_streams_losses_clocks_and_rig(demo_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert legid("info", demo_run) == 0
-    text = capsys.readouterr().out
+def test_info_tells_streams_losses_clocks_and_rig(demo_run: Path, shell: Shell) -> None:
+    shell("info", demo_run)
+    text = shell.out
     for word in ("/imu", "/leg/telemetry", "telemetry frames lost: 0", "IMU gaps of unknown length: 0", "ppm, within",
                  "leg2", "the file is whole", "start: armed", "stop: plan done", "faults seen: none"):
         assert word in text
 
 
-def test_info_of_a_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_of_a_csv(tmp_path: Path, shell: Shell) -> None:
     rows = "".join(f"{k / 100 + (0.5 if k > 60 else 0)},{k},x\n" for k in range(100))
     (tmp_path / "a.csv").write_text("time_s,q2_rad,note\n" + rows)
-    assert legid("info", tmp_path / "a.csv") == 0
-    text = capsys.readouterr().out
+    shell("info", tmp_path / "a.csv")
+    text = shell.out
     assert "100 samples" in text and "100 Hz" in text and "gaps: 1, longest 0.51 s" in text and "ignored: note" in text
 
 
-def test_recover_saves_what_a_crash_left(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_saves_what_a_crash_left(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
     cut = tmp_path / "cut.mcap"
     data = demo_run.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
-    assert legid("info", cut) == 0
-    assert "cut off" in capsys.readouterr().out
-    assert legid("recover", cut) == 0
-    assert "was cut off" in capsys.readouterr().out
+    shell("info", cut)
+    assert "cut off" in shell.out
+    shell("recover", cut)
+    assert "was cut off" in shell.out
     saved = read_run(tmp_path / "cut.recovered.mcap")
     assert saved.complete and 0.4 < saved.messages / read_run(demo_run).messages < 0.8
-    assert "exists already" in fails(capsys, 2, "recover", cut)
+    assert "exists already" in shell.fails("recover", cut)
     assert cut.read_bytes() == data[: len(data) * 2 // 3]
 
 
-def test_exports_agree(demo_run: Path, tmp_path: Path) -> None:
+def test_exports_agree(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
     scipy_io, parquet = pytest.importorskip("scipy.io"), pytest.importorskip("pyarrow.parquet")
     for kind in ("csv", "parquet", "mat"):
-        assert legid("export", demo_run, "--to", kind, "--out", tmp_path / f"r.{kind}") == 0
+        shell("export", demo_run, "--to", kind, "--out", tmp_path / f"r.{kind}")
     table = read_csv(tmp_path / "r.csv")
     assert {"q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "q1_rad"} <= set(table.columns)
     columns = parquet.read_table(tmp_path / "r.parquet").to_pydict()
@@ -191,54 +188,25 @@ def test_exports_agree(demo_run: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(matlab[name][:, 0], table.columns[name], rtol=1e-10, atol=1e-12)
 
 
-def test_export_of_a_csv_at_another_rate(demo_run: Path, tmp_path: Path) -> None:
+def test_export_of_a_csv_at_another_rate(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
     legid("export", demo_run, "--to", "csv", "--out", tmp_path / "a.csv")
-    assert legid("export", tmp_path / "a.csv", "--to", "csv", "--rate", "50", "--out", tmp_path / "b.csv") == 0
+    shell("export", tmp_path / "a.csv", "--to csv --rate 50 --out", tmp_path / "b.csv")
     half, full = read_csv(tmp_path / "b.csv"), read_csv(tmp_path / "a.csv")
     assert half.time_s.size == pytest.approx(full.time_s.size / 5, abs=2)
 
 
-def test_output_that_cannot_be_written(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_that_cannot_be_written(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
     for kind in ("csv", "mat", "parquet"):
-        assert "no/where" in fails(capsys, 2, "export", demo_run, "--to", kind, "--out", tmp_path / "no/where")
+        assert "no/where" in shell.fails("export", demo_run, "--to", kind, "--out", tmp_path / "no/where")
 
 
 # -- simulation --------------------------------------------------------------------------------------------
 
 
-def test_simulated_run_is_the_plants_motion(model_file: Path, tmp_path: Path) -> None:
-    # The plant is an independent implementation with true dry friction; the model rounds its sign off.
-    plan = random_multisine(5, 6.0, 0.6, rate_hz=200.0)
-    write_plan(plan, tmp_path / "plan.csv")
-    assert legid("simulate", model_file, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.csv") == 0
-    run = read_csv(tmp_path / "run.csv", load_rig(RIG))
-    plant, motion = LegPlant(LegBody()), []
-    for torque in read_plan(tmp_path / "plan.csv").torque_nm:
-        motion.append(plant.state)
-        plant.step(0.005, torque)
-    q = np.array(motion)
-    assert run.time_s.size == q.shape[0]
-    assert np.abs(run.columns["q1_rad"] - q[:, 0]).max() < 0.03 * np.ptp(q[:, 0])
-    assert np.abs(run.columns["q2_rad"] - q[:, 1]).max() < 0.03 * np.ptp(q[:, 1])
-    np.testing.assert_array_equal(run.columns["tau2_nm"], run.columns["tau2_cmd_nm"])
-
-
-def test_simulated_noise_has_the_models_levels_and_seed(model_file: Path, tmp_path: Path) -> None:
-    write_plan(Plan(np.arange(800) / 100.0, np.zeros(800)), tmp_path / "p.csv")
-    for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
-        assert legid("simulate", model_file, "--plan", tmp_path / "p.csv", "--out", tmp_path / f"{name}.csv",
-                     "--noise-seed", seed) == 0
-    a, b, c = (read_csv(tmp_path / f"{name}.csv").columns for name in "abc")
-    assert np.std(a["gyro_radps"]) == pytest.approx(0.005, rel=0.1)
-    assert np.std(a["accel_x_mps2"]) == pytest.approx(0.05, rel=0.1)
-    np.testing.assert_array_equal(a["gyro_radps"], b["gyro_radps"])
-    assert not np.array_equal(a["gyro_radps"], c["gyro_radps"])
-
-
-def test_start_must_fit_the_mechanism(model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_start_must_fit_the_mechanism(model_file: Path, tmp_path: Path, shell: Shell) -> None:
     write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
-    assert "--start" in fails(capsys, 2, "simulate", model_file, "--plan", tmp_path / "p.csv", "--start", "1,2,3",
-                              "--out", tmp_path / "r.csv")
+    assert "--start" in shell.fails("simulate", model_file, "--plan", tmp_path / "p.csv", "--start 1,2,3 --out",
+                                    tmp_path / "r.csv")
 
 
 # -- recording ---------------------------------------------------------------------------------------------
@@ -258,45 +226,44 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield tmp_path
 
 
-def test_record_over_a_serial_port(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
     t = np.arange(100) / 100.0
     write_plan(Plan(t, 0.2 * np.sin(2 * np.pi * t)), bench / "plan.csv")
     args = ("record", "--rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap")
-    assert legid(*args) == 0, capsys.readouterr().err
-    assert "torque commands" in capsys.readouterr().out
+    shell(*args)
+    assert "torque commands" in shell.out
     raw = read_run(bench / "run.mcap")
     assert raw.complete and raw.files["rig.toml"] == (bench / "rig.toml").read_text()
     assert raw.streams["/leg/telemetry"]["torque_cmd_nm"].max() > 0.15
-    assert "exists already" in fails(capsys, 2, *args)
+    assert "exists already" in shell.fails(*args)
 
 
-def test_record_refuses_a_plan_beyond_the_limits(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_refuses_a_plan_beyond_the_limits(bench: Path, shell: Shell) -> None:
     write_plan(Plan(np.arange(100) / 100.0, np.full(100, 9.0)), bench / "plan.csv")
-    line = fails(capsys, 2, "record", "--rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out",
-                 bench / "run.mcap")
+    line = shell.fails("record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap")
     assert "9 N m" in line
 
 
-def test_record_without_devices_says_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_without_devices_says_what_is_missing(tmp_path: Path, shell: Shell) -> None:
     write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
     absent = tmp_path / "rig.toml"
     absent.write_text(RIG.read_text().replace("/dev/ttyACM0", "/dev/no-such-port"))
     args = ("--plan", tmp_path / "p.csv", "--out", tmp_path / "r.mcap")
-    assert "/dev/no-such-port" in fails(capsys, 1, "record", "--rig", absent, *args)
+    assert "/dev/no-such-port" in shell.fails("record --rig", absent, *args, status=1)
     absent.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
-    assert "devices.controller" in fails(capsys, 2, "record", "--rig", absent, *args)
+    assert "devices.controller" in shell.fails("record --rig", absent, *args)
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_record_from_an_emulated_leg_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_from_an_emulated_leg_says_so(tmp_path: Path, shell: Shell) -> None:
     """Nothing of the rig's devices is opened; what is hidden is not in the file."""
     write_plan(random_multisine(1, 4.0, 0.3), tmp_path / "plan.csv")
     start = ["record", "--rig", RIG, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.mcap"]
-    assert legid(*start, "--emulate", "quadratic_drag", "--seed", 3) == 0
-    assert legid("info", tmp_path / "run.mcap") == 0
-    said = capsys.readouterr().out
+    shell(*start, "--emulate quadratic_drag --seed", 3)
+    shell("info", tmp_path / "run.mcap")
+    said = shell.out
     assert "recorded from an emulated leg" in said and "drag" not in said
     raw = read_run(tmp_path / "run.mcap")
     assert raw.streams["/imu"].size > 1900 and raw.files["rig.toml"] == RIG.read_text()
-    assert "exists" in fails(capsys, 2, *start, "--emulate")
-    assert "invalid choice" in fails(capsys, 2, *start, "--emulate", "ghosts")
+    assert "exists" in shell.fails(*start, "--emulate")
+    assert "invalid choice" in shell.fails(*start, "--emulate ghosts")

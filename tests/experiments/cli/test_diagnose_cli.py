@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.rig import load_rig
-from daq.runs.csv_run import write_csv
-from estimator.diagnosis.result import Diagnosis
-from estimator.effects.stribeck_friction import StribeckFriction
-from estimator.model.mechanism import leg2
-from experiments import cli
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS, NOTHING, LatePivot
-from experiments.emulation.plant import LegBody, LegPlant
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from daq import Dataset, load_rig
+from daq.runs import write_csv
+from estimator import Diagnosis
+from estimator.effects import StribeckFriction
+from estimator.model import leg2
+from experiments.emulation import EFFECTS, NOTHING, LegBody, record_emulated
+from experiments.emulation.hidden_effects import LatePivot
+from experiments.emulation.plant import LegPlant
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.diagnoses import synthetic
 from tests.support.models import LEG, write_model
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import Shell
 
 
 def run_csv(path: Path, seed: int, drop: tuple[str, ...] = (), seconds: float = 6.0) -> Path:
@@ -76,10 +75,6 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], dict[str,
     return answer
 
 
-def diagnose(*args: object) -> int:
-    return cli.main(["diagnose", *map(str, args)])
-
-
 def extended() -> Diagnosis:
     """The synthetic finding with what a saved model needs."""
     beta = np.array(LegBody().beta())
@@ -89,12 +84,12 @@ def extended() -> Diagnosis:
                    angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
 
 
-def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell,
                                   pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     asked = pipeline(extended())
-    assert diagnose(*runs, "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
-                    tmp_path / "m.json", "--seed", 7) == 0
-    assert capsys.readouterr().out.startswith(synthetic().sentence)
+    shell("diagnose", *runs, "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
+          tmp_path / "m.json", "--seed", 7)
+    assert shell.out.startswith(synthetic().sentence)
     assert json.loads((tmp_path / "d.json").read_text())["schema"] == "legid.diagnosis/1"
     assert "<h2>Causes</h2>" in (tmp_path / "d.html").read_text()
     model = load_model(tmp_path / "m.json")
@@ -110,68 +105,70 @@ def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, c
 
 @pytest.mark.parametrize("output", ["--json", "--html", "--model-out"])
 def test_a_full_disk_does_not_take_the_diagnosis_with_it(output: str, runs: list[Path], rig: Path,
-                                                         capsys: pytest.CaptureFixture[str],
+                                                         shell: Shell,
                                                          pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     pipeline(extended())
-    assert diagnose(*runs, "--rig", rig, output, "/dev/full") == 2
-    said = capsys.readouterr()
+    shell("diagnose", *runs, "--rig", rig, output, "/dev/full", status=2)
+    said = shell.read()
     assert said.out.startswith(synthetic().sentence)
     assert said.err.splitlines()[-1] == ("legid diagnose: /dev/full: No space left on device; free space there, or "
                                          "give another place")
 
 
 def test_the_pivots_encoder_is_not_read_with_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
-                                                      pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+                                                    pipeline: Callable[[Diagnosis], dict[str, Any]],
+                                                    shell: Shell) -> None:
     asked = pipeline(synthetic())
-    assert diagnose(*runs, "--rig", rig) == 0
+    shell("diagnose", *runs, "--rig", rig)
     assert asked["options"].sensors == "imu" and all("q1_rad" not in d for d in asked["datasets"])
     hall = [run_csv(tmp_path / f"h{k}.csv", k, drop=("gyro", "accel")) for k in (1, 2)]
-    assert diagnose(*hall, "--rig", rig) == 0
+    shell("diagnose", *hall, "--rig", rig)
     assert asked["options"].sensors == "encoder" and all("q1_rad" in d for d in asked["datasets"])
 
 
 def test_a_nominal_model_is_saved_where_nothing_was_found(runs: list[Path], rig: Path, tmp_path: Path,
-                                                          pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+                                                          pipeline: Callable[[Diagnosis], dict[str, Any]],
+                                                          shell: Shell) -> None:
     pipeline(replace(synthetic(), verdict="none", causes=(), extended={}))
-    assert diagnose(*runs, "--rig", rig, "--model-out", tmp_path / "m.json") == 0
+    shell("diagnose", *runs, "--rig", rig, "--model-out", tmp_path / "m.json")
     model = load_model(tmp_path / "m.json")
     assert model.effects == () and model.beta == [0.1] * 9 and model.covariance[0][0] == pytest.approx(1e-6)
     asked = pipeline(synthetic())
-    assert diagnose(*runs, "--rig", rig, "--reference", tmp_path / "m.json") == 0
+    shell("diagnose", *runs, "--rig", rig, "--reference", tmp_path / "m.json")
     assert asked["reference"]["beta4"] == (0.1, pytest.approx(1e-3))
 
 
 def test_a_reference_with_terms_that_a_fit_chose_is_taken_for_the_same_rig(
-        runs: list[Path], rig: Path, tmp_path: Path, pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+        runs: list[Path], rig: Path, tmp_path: Path, pipeline: Callable[[Diagnosis], dict[str, Any]],
+        shell: Shell) -> None:
     path = write_model(tmp_path / "chosen.json", [0.1] * 10, {**LEG, "torque_offset": (2,)})
     asked = pipeline(synthetic())
-    assert diagnose(*runs, "--rig", rig, "--reference", path) == 0
+    shell("diagnose", *runs, "--rig", rig, "--reference", path)
     assert asked["reference"]["torque_offset_2"] == (0.1, 0.0)
 
 
 def test_a_fit_that_fails_says_that_the_reference_was_not_compared(
-        runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+        runs: list[Path], rig: Path, tmp_path: Path, shell: Shell,
         pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     path = write_model(tmp_path / "m.json", [0.1] * 9, LEG)
     pipeline(Diagnosis("fit_failed", "No diagnosis: the fit did not converge."))
-    assert diagnose(*runs, "--rig", rig, "--reference", path) == 1
-    assert "The reference was not compared: that needs a fit of these runs." in capsys.readouterr().err
+    shell("diagnose", *runs, "--rig", rig, "--reference", path, status=1)
+    assert "The reference was not compared: that needs a fit of these runs." in shell.err
 
 
 def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, tmp_path: Path,
-                                                        capsys: pytest.CaptureFixture[str]) -> None:
+                                                        shell: Shell) -> None:
     # No stand-in: six seconds are too little for the pipeline itself.
-    assert diagnose(runs[0], "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
-                    tmp_path / "m.json") == 1
+    shell("diagnose", runs[0], "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html",
+          "--model-out", tmp_path / "m.json", status=1)
     found = json.loads((tmp_path / "d.json").read_text())
     assert found["verdict"] == "fit_failed" and "6.0 s" in found["sentence"] and found["causes"] == []
-    error = capsys.readouterr()
+    error = shell.read()
     assert error.err.count("\n") == 1 and found["sentence"].rstrip(".") in error.err and error.out == ""
     assert (tmp_path / "d.html").exists() and not (tmp_path / "m.json").exists()
 
 
-def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path: Path,
-                                          capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell) -> None:
     other = run_csv(tmp_path / "other.csv", 9)
     other.write_text(other.read_text().replace("gyro_radps", "gyro"))
     copy = tmp_path / "copy"
@@ -182,18 +179,18 @@ def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path:
     for args, says in (([*runs, other], "other.csv"), ([*runs, copy / runs[0].name], "given twice"),
                        ([*runs, "none.csv"], "none.csv"), ([*runs, "--reference", model], "m.json"),
                        ([*runs, "--seed", "-1"], "whole number")):
-        assert diagnose(*args, "--rig", rig, "--json", tmp_path / "d.json") == 2
-        error = capsys.readouterr().err
+        shell("diagnose", *args, "--rig", rig, "--json", tmp_path / "d.json", status=2)
+        error = shell.err
         assert error.count("\n") == 1 and says in error, error
     assert not (tmp_path / "d.json").exists()
 
 
-def test_native_runs_of_different_rigs(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_native_runs_of_different_rigs(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
     text, other = RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"), tmp_path / "b.mcap"
     assert text != RIG.read_text()
     record_emulated(other, load_rig(RIG), text, random_multisine(1, 4.0, 0.3), 1)
-    assert diagnose(demo_run, other, "--rig", RIG) == 2
-    assert f"b.mcap: was recorded on another rig than {demo_run.name}" in capsys.readouterr().err
+    shell("diagnose", demo_run, other, "--rig", RIG, status=2)
+    assert f"b.mcap: was recorded on another rig than {demo_run.name}" in shell.err
 
 
 # -- what an emulated leg hides ----------------------------------------------------------------------------

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from estimator.effects import library
-from estimator.model.mechanism import leg2
-from experiments import cli
-from experiments.emulation.hidden_effects import EFFECTS
-from experiments.models.effect_library import effects_document, known_effects
+from estimator.model import leg2
+from experiments.emulation import EFFECTS
+from experiments.models import effects_document, known_effects
 from tests.support.paths import ROOT
+from tests.support.shell import Shell
 
 PAGE = ROOT / "docs" / "effect.md"
 CONTRACT = [
@@ -39,9 +39,9 @@ def install(folder: Path, module: str, code: str, value: str, monkeypatch: pytes
     invalidate_caches()
 
 
-def test_every_effect_of_the_contract_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["effects", "--json", str(tmp_path / "e.json")]) == 0
-    text = capsys.readouterr().out
+def test_every_effect_of_the_contract_is_listed(tmp_path: Path, shell: Shell) -> None:
+    shell("effects --json", tmp_path / "e.json")
+    text = shell.out
     found = json.loads((tmp_path / "e.json").read_text())
     assert found["schema"] == "legid.effects/1"
     assert sorted(row["effect"] for row in found["effects"]) == sorted(CONTRACT)
@@ -56,17 +56,16 @@ def test_every_effect_of_the_contract_is_listed(tmp_path: Path, capsys: pytest.C
 
 
 def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                            capsys: pytest.CaptureFixture[str]) -> None:
+                                            shell: Shell) -> None:
     text = PAGE.read_text()
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     value = re.search(r'\[project\.entry-points\."legid\.effects"\]\n\w+ = "(.*?)"', text)
-    assert value is not None
     module = value.group(1).partition(":")[0]
     install(tmp_path, module, code, value.group(1), monkeypatch)
     kind = list(known_effects().values())[-1]
     assert kind.name not in CONTRACT
-    assert cli.main(["effects"]) == 0
-    assert kind.name in capsys.readouterr().out
+    shell("effects")
+    assert kind.name in shell.out
     effects, _ = library(leg2(lever_arm=0.2), True)
     assert kind.name in {e.name for e in effects}
     monkeypatch.delitem(sys.modules, module)
@@ -79,10 +78,10 @@ def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: p
      "mine asks for plans of the kind 'slwo'"),
 ])
 def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+                                              shell: Shell) -> None:
     install(tmp_path, "broken_effect", code, "broken_effect:Mine", monkeypatch)
-    assert cli.main(["effects"]) == 2
-    error = capsys.readouterr().err
+    shell("effects", status=2)
+    error = shell.err
     assert says in error and "legid.effects" in error and error.count("\n") == 1
     monkeypatch.delitem(sys.modules, "broken_effect", raising=False)
 

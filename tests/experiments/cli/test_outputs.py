@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments import cli
 from experiments.cli.main import build_parser
+from tests.support.shell import Shell
 
 RUN = b"time_s,q2_rad,tau2_nm\n0.0,0.1,0.2\n0.01,0.1,0.2\n"
 NOTES = b"what I measured today\n"
@@ -30,26 +30,18 @@ OUTPUTS = [
 ]
 
 
-def said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
-    capsys.readouterr()
-    assert cli.main(args) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    return line
-
-
 @pytest.mark.parametrize("command", OUTPUTS, ids=lambda c: f"{c[0]} {c[-1]}")
 def test_no_command_destroys_a_run_or_unasked_another_file(
         command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str]) -> None:
+        shell: Shell) -> None:
     monkeypatch.chdir(tmp_path)
     target = Path("target")
     forced = ["--force"] if command[0] not in ("record", "recover") else []
     target.write_bytes(RUN)
-    assert "never overwritten" in said(capsys, *command, "target", *forced)
+    assert "never overwritten" in shell.fails(*command, "target", *forced)
     assert target.read_bytes() == RUN
     target.write_bytes(NOTES)
-    assert "--force" in said(capsys, *command, "target") or not forced
+    assert "--force" in shell.fails(*command, "target") or not forced
     assert target.read_bytes() == NOTES and [p.name for p in Path().iterdir()] == ["target"]
 
 
@@ -64,24 +56,24 @@ def test_every_argument_that_names_a_file_to_write_is_checked() -> None:
                 assert (name, action.option_strings[-1]) in covered
 
 
-def test_two_outputs_in_one_place_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--json names too" in said(capsys, *FIT, "--json", "x.json", "--model-out", "x.json")
+def test_two_outputs_in_one_place_are_refused(shell: Shell) -> None:
+    assert "--json names too" in shell.fails(*FIT, "--json x.json --model-out x.json")
 
 
-def test_an_output_of_the_same_kind_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_of_the_same_kind_is_replaced(tmp_path: Path, shell: Shell) -> None:
     path = tmp_path / "effects.json"
-    assert cli.main(["effects", "--json", str(path)]) == 0
+    shell("effects --json", path)
     path.write_text(path.read_text()[:60] + "...")
-    assert cli.main(["effects", "--json", str(path)]) == 0
+    shell("effects --json", path)
     assert path.read_text().endswith("}\n")
     path.write_bytes(NOTES)
-    assert cli.main(["effects", "--json", str(path), "--force"]) == 0
+    shell("effects --json", path, "--force")
 
 
-def test_a_demo_replaces_no_run_but_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_replaces_no_run_but_its_own(tmp_path: Path, shell: Shell) -> None:
     from daq.runs.mcap_run import RunWriter
 
     with_own = tmp_path / "demo-run1.mcap"
     RunWriter(with_own, {}).close()
-    assert "not of an earlier demo" in said(capsys, "demo", "--out", str(tmp_path))
+    assert "not of an earlier demo" in shell.fails("demo --out", tmp_path)
     assert with_own.exists()

@@ -9,6 +9,7 @@ import pytest
 from experiments import cli
 from experiments.provenance import commit, read_origin, source_of
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import Shell
 
 
 @pytest.fixture(scope="module")
@@ -27,79 +28,80 @@ def legid(*args: object) -> int:
 
 @pytest.mark.parametrize("name", ["fit.json", "fit.html", "model.json"])
 def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, folder: Path, tmp_path: Path,
-                                                                    capsys: pytest.CaptureFixture[str]) -> None:
+                                                                    shell: Shell) -> None:
     origin = read_origin(folder / name)
     assert origin.commit == commit() and origin.version
     assert origin.runs == (source_of(folder / "run.mcap"),)
     assert origin.rig is not None and (origin.rig.file, origin.rig.inside) == ("rig.toml", "run.mcap")
-    assert legid("verify", folder / name) == 0
-    said = capsys.readouterr().out
+    shell("verify", folder / name)
+    said = shell.out
     assert said.count("same") == 2 and "CHANGED" not in said
     data = (folder / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[:-9] + bytes(9))
-    assert legid("verify", folder / name, tmp_path) == 1
-    assert "run.mcap (CHANGED)" in capsys.readouterr().err
+    shell("verify", folder / name, tmp_path, status=1)
+    assert "run.mcap (CHANGED)" in shell.err
     (tmp_path / "run.mcap").unlink()
-    assert legid("verify", folder / name, tmp_path) == 1
-    assert "run.mcap (missing)" in capsys.readouterr().err
+    shell("verify", folder / name, tmp_path, status=1)
+    assert "run.mcap (missing)" in shell.err
 
 
 @pytest.mark.parametrize(("command", "read"), [
     (["runs", ".", "--json"], {"run.mcap"}), (["runs", "run.mcap", "--json"], {"run.mcap"}),
     (["effects", "--json"], set()),
     (["monte-carlo", "biped3", "--runs", "2", "--cases", "1", "--methods", "wls", "--workers", "1", "--json"], set())])
-def test_every_other_document_says_what_it_was_made_from(
-        command: list[str], read: set[str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_other_document_says_what_it_was_made_from(command: list[str], read: set[str], folder: Path,
+                                                         tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                         shell: Shell) -> None:
     shutil.copy(folder / "run.mcap", tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert legid(*command, "out.json") == 0
+    shell(*command, "out.json")
     origin = read_origin("out.json")
     assert {source.file for source in origin.sources} == read and origin.commit == commit()
     assert origin.command.startswith(f"legid {command[0]}") and (origin.seed is not None) == ("biped3" in command)
-    assert legid("verify", "out.json") == 0
+    shell("verify out.json")
 
 
 @pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
-def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "x.json").write_text(text)
-    assert legid("verify", tmp_path / "x.json") == 2
-    assert "says nothing of the files" in capsys.readouterr().err
+    shell("verify", tmp_path / "x.json", status=2)
+    assert "says nothing of the files" in shell.err
 
 
 def test_a_damaged_run_is_used_only_when_asked_for_and_the_documents_say_so(
-        folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        folder: Path, tmp_path: Path, shell: Shell) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((folder / "run.mcap").read_bytes()[:-3000])
     commands = [["fit", cut, "--method", "wls"], ["diagnose", cut], ["validate", folder / "model.json", cut],
                 ["export", cut, "--out", tmp_path / "cut.csv"]]
     for command in commands:
-        assert legid(*command) == 2
-        error = capsys.readouterr().err.splitlines()[-1]
+        shell(*command, status=2)
+        error = shell.err.splitlines()[-1]
         assert "its end is missing" in error and "--damaged" in error
     assert not (tmp_path / "cut.csv").exists()
-    assert legid("info", cut) == 0
-    assert "DAMAGED: its end is missing" in capsys.readouterr().out
+    shell("info", cut)
+    assert "DAMAGED: its end is missing" in shell.out
     out = tmp_path / "fit.json", tmp_path / "model.json"
     legid("fit", cut, "--method", "wls", "--damaged", "--json", out[0], "--model-out", out[1], "--fix", "beta8=0")
     assert [d["run"] for d in json.loads(out[0].read_text())["damaged"]] == ["cut.mcap"]
     assert json.loads((folder / "fit.json").read_text())["damaged"] == []
-    assert legid("recover", cut) == 0
-    assert legid("export", tmp_path / "cut.recovered.mcap", "--out", tmp_path / "saved.csv") == 0
+    shell("recover", cut)
+    shell("export", tmp_path / "cut.recovered.mcap", "--out", tmp_path / "saved.csv")
 
 
 def test_the_rig_of_the_run_is_compared_with_the_one_given(
-        folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
-    assert legid("fit", folder / "run.mcap", "--method", "wls", "--rig", other) == 0
-    error = capsys.readouterr().err
+    shell("fit", folder / "run.mcap", "--method wls --rig", other)
+    error = shell.err
     assert "run.mcap was recorded with imu.lever_arm_m = 0.2" in error and "says 0.1" in error
     monkeypatch.chdir(tmp_path)
     shutil.copy(folder / "run.mcap", tmp_path / "run.mcap")
-    assert legid("fit", "run.mcap", "--method", "wls") == 0
-    assert "rig: the one that run.mcap holds" in capsys.readouterr().err
-    assert legid("validate", folder / "model.json", "none.csv", "--quiet") == 2
-    assert "none.csv" in capsys.readouterr().err  # ./rig.toml was taken, the run is what is missing
+    shell("fit run.mcap --method wls")
+    assert "rig: the one that run.mcap holds" in shell.err
+    shell("validate", folder / "model.json", "none.csv --quiet", status=2)
+    assert "none.csv" in shell.err  # ./rig.toml was taken, the run is what is missing
     other.unlink()
-    assert legid("fit", "none.csv") == 2
-    assert "--rig: is not given" in capsys.readouterr().err
+    shell("fit none.csv", status=2)
+    assert "--rig: is not given" in shell.err

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 import legid
-from experiments.cli import main
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 
 
-def test_every_document_has_the_faulty_readings(tmp_path: Path) -> None:
+def test_every_document_has_the_faulty_readings(tmp_path: Path, shell: Shell) -> None:
     runs = []
     for k in range(3):
         run = pendulum_run("r", k)
@@ -25,9 +25,9 @@ def test_every_document_has_the_faulty_readings(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG)
     rig, names = str(tmp_path / "rig.toml"), [str(run) for run in runs]
     files = {what: str(tmp_path / f"{what}.json") for what in ("fit", "model", "validate", "diagnose")}
-    assert main(["fit", *names, "--rig", rig, "--json", files["fit"], "--model-out", files["model"]]) == 0
-    assert main(["validate", files["model"], *names, "--rig", rig, "--json", files["validate"]]) == 0
-    assert main(["diagnose", *names, "--rig", rig, "--json", files["diagnose"], "--workers", "1"]) == 0
+    shell("fit", *names, "--rig", rig, "--json", files["fit"], "--model-out", files["model"])
+    shell("validate", files["model"], *names, "--rig", rig, "--json", files["validate"])
+    shell("diagnose", *names, "--rig", rig, "--json", files["diagnose"], "--workers 1")
     found = {what: json.loads(Path(files[what]).read_text())["readings"] for what in ("fit", "validate", "diagnose")}
     (fault,) = found["fit"]
     assert (fault["run"], fault["column"], fault["what"], fault["done"]) == ("r1.csv", "q1_rad", "isolated", "left_out")

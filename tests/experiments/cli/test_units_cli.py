@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
-from experiments.cli import main
+from daq import Dataset
+from daq.runs import write_csv
 from tests.support.models import write_model
 from tests.support.mujoco_leg import random_leg, record
+from tests.support.shell import Shell
 
 DEGREES = 180.0 / np.pi
 G = 9.80665
@@ -48,20 +48,19 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @pytest.mark.parametrize("command", ["fit", "validate", "compare", "diagnose"])
 @pytest.mark.parametrize("what", SPOILT)
-def test_columns_in_other_units(command: str, what: str, bench: Bench, tmp_path: Path,
-                                capsys: pytest.CaptureFixture[str]) -> None:
+def test_columns_in_other_units(command: str, what: str, bench: Bench, tmp_path: Path, shell: Shell) -> None:
     factors, remedy = SPOILT[what]
     model, *rest = bench(factors)
     before = {"validate": [model], "compare": [model, model]}.get(command, [])
     more = {"diagnose": ["--json", str(tmp_path / "d.json")], "fit": ["--method", "wls"]}.get(command, [])
-    assert main([command, *before, *rest, *more]) == 1
-    error = capsys.readouterr().err
+    shell(command, *before, *rest, *more, status=1)
+    error = shell.err
     assert error.count("\n") == 1 and remedy in error
     if command == "diagnose":
         found = json.loads((tmp_path / "d.json").read_text())
         assert found["verdict"] == "fit_failed" and remedy in found["sentence"] and not found["causes"]
 
 
-def test_columns_as_they_should_be_are_validated(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", *bench({})]) == 0
-    assert "[columns" not in capsys.readouterr().err
+def test_columns_as_they_should_be_are_validated(bench: Bench, shell: Shell) -> None:
+    shell("validate", *bench({}))
+    assert "[columns" not in shell.err

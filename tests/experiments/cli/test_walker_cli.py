@@ -10,6 +10,7 @@ import pytest
 from daq import Dataset
 from daq.runs import write_csv
 from experiments import cli
+from tests.support.shell import Shell
 from tests.support.walker_plant import RIG, Gait, Law, Plant, Walker, no_loss, record, walk
 
 GEARED = RIG + "[motor]\ngear_ratio = 20.0\n"
@@ -48,11 +49,11 @@ def test_a_record_without_contacts_is_fitted_over_its_steps(folder: Path, model:
     assert json.loads(model.read_text())["mechanism"]["hips"] is True
 
 
-def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, shell: Shell) -> None:
     out = folder / "v.json"
-    assert cli.main(["validate", str(model), str(folder / "walk3.csv"), "--rig", str(folder / "rig.toml"), "--json",
-                     str(out), "--html", str(folder / "v.html")]) == 0
-    text, walked = capsys.readouterr().out, json.loads(out.read_text())["walk"]
+    shell("validate", model, folder / "walk3.csv", "--rig", folder / "rig.toml", "--json", out, "--html",
+          folder / "v.html")
+    text, walked = shell.out, json.loads(out.read_text())["walk"]
     assert "all fell" in text and "falls after" in text and "later steps are not compared" in text
     assert "across touchdowns" in (folder / "v.html").read_text()
     first, last = walked["ahead"][0], walked["ahead"][-1]
@@ -61,19 +62,18 @@ def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, capsys: pyte
     assert walked["runs"][0]["fell_s"] > 1.0 and 1 < walked["runs"][0]["fell_in_step"] < 12
 
 
-def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, shell: Shell) -> None:
     plan = folder / "plan.csv"
     plan.write_text("time_s,tau2_cmd_nm\n0,1\n0.1,1\n")
-    assert cli.main(["simulate", str(model), "--plan", str(plan), "--out", str(folder / "x.csv")]) == 2
-    assert "is a walker, which falls under a plan" in capsys.readouterr().err
+    shell("simulate", model, "--plan", plan, "--out", folder / "x.csv", status=2)
+    assert "is a walker, which falls under a plan" in shell.err
 
 
 @pytest.mark.parametrize(("change", "said"), [
     ("stance", "column stance never changes from one leg to the other"),
     ("still", "no touchdown stands out of the angles' noise; give a column stance"),
 ])
-def test_a_record_that_cannot_be_cut_is_refused(folder: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
-                                                ) -> None:
+def test_a_record_that_cannot_be_cut_is_refused(folder: Path, shell: Shell, change: str, said: str) -> None:
     count, rng = 400, np.random.default_rng(0)
     columns = {name: 1e-3 * rng.normal(size=count) for name in ("q1_rad", "q2_rad", "q3_rad", "tau2_nm", "tau3_nm")}
     data = Dataset(f"{change}.csv", 100.0, np.arange(count) / 100.0, columns)
@@ -81,30 +81,30 @@ def test_a_record_that_cannot_be_cut_is_refused(folder: Path, capsys: pytest.Cap
         data = replace(data, columns=columns | {"stance": np.ones(count)})
     path = folder / data.name
     write_csv(data, path)
-    assert cli.main(["fit", str(path), "--rig", str(folder / "rig.toml")]) == 1
-    error = capsys.readouterr().err
+    shell("fit", path, "--rig", folder / "rig.toml", status=1)
+    error = shell.err
     assert said in error and error.count("\n") == 1
 
 
-def test_only_a_biped_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_biped_walks(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
-    assert cli.main(["fit", str(rig), "--rig", str(rig)]) == 2
-    assert "[walker]: that is for a biped3" in capsys.readouterr().err
+    shell("fit", rig, "--rig", rig, status=2)
+    assert "[walker]: that is for a biped3" in shell.err
     rig.write_text('[mechanism]\nmodel = "biped3"\nactuated = [2, 3]\n[walker]\n[[imu]]\nlink = 3\n')
-    assert cli.main(["fit", str(rig), "--rig", str(rig)]) == 2
-    assert "[walker]: that is for a biped3 without distance_meter or imu" in capsys.readouterr().err
+    shell("fit", rig, "--rig", rig, status=2)
+    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.err
 
 
 @pytest.mark.slow
-def test_a_spring_at_one_leg_is_named_there(folder: Path) -> None:
+def test_a_spring_at_one_leg_is_named_there(folder: Path, shell: Shell) -> None:
     """Half a minute."""
     def spring(leg: int, angle: float, rate: float, torque: float) -> float:
         return 8.0 * angle if leg == 1 else 0.0
 
     runs = [str(put(folder, seed, 6, True, spring)) for seed in range(20, 28)]
     out = folder / "d.json"
-    assert cli.main(["diagnose", *runs, "--rig", str(folder / "rig.toml"), "--json", str(out), "--workers", "1"]) == 0
+    shell("diagnose", *runs, "--rig", folder / "rig.toml", "--json", out, "--workers 1")
     document = json.loads(out.read_text())
     cause, = document["causes"]
     assert (document["verdict"], cause["effect"], cause["joint"]) == ("named", "joint_stiffness", 3)

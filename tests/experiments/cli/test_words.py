@@ -7,6 +7,7 @@ import pytest
 from experiments import cli, console
 from experiments.cli.main import build_parser
 from tests.support.paths import DEMO_RIG
+from tests.support.shell import Shell
 
 
 def said(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
@@ -42,10 +43,11 @@ def test_no_option_is_parted_at_a_hyphen(columns: int, monkeypatch: pytest.Monke
             assert option in text
 
 
-def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                                    shell: Shell) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,\x1b]0;owned\x07q\x9b2J\n" + "".join(f"{k},{k}\n" for k in range(60)))
-    assert cli.main(["info", str(path)]) == 0
+    shell("info", path)
     out = capsys.readouterr().out
     assert "owned" in out and not any(c in out for c in "\x1b\x07\x9b") and "\n" in out
     path.write_text("time_s,a\x1b[2J,a\x1b[2J\n1,2,3\n")
@@ -71,17 +73,18 @@ def test_quiet_and_verbose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert said(capsys, 0, "effects", "--quiet") == ""
 
 
-def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, shell: Shell) -> None:
     good = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for path in good:
         path.write_text("time_s,q\n" + "".join(f"{k},{k}\n" for k in range(60)))
-    assert cli.main(["info", str(good[0]), str(tmp_path / "none.csv"), str(good[1])]) == 2
-    out, err = capsys.readouterr()
+    shell("info", good[0], tmp_path / "none.csv", good[1], status=2)
+    out, err = shell.read()
     assert "a.csv: 60 samples" in out and "b.csv: 60 samples" in out and "none.csv" in err
 
 
-def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                                  shell: Shell) -> None:
     (tmp_path / "a.csv").write_text("time_s,q\n" + "".join(f"{k / 100},{k}\n" for k in range(60)))
-    assert cli.main(["export", str(tmp_path / "a.csv"), "--out", str(tmp_path / "b.mat")]) == 0
+    shell("export", tmp_path / "a.csv", "--out", tmp_path / "b.mat")
     assert (tmp_path / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
     assert "give --to" in said(capsys, 2, "export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")

@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,20 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.rig import Rig
-from daq.rig_devices import ControllerDevice
-from drivers.errors import DeviceAbsent
-from drivers.i2c_bus import open_bus
+from daq import ControllerDevice, Rig
+from drivers import DeviceAbsent, open_bus
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant, StillState
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
-from experiments.cli import main
 from experiments.doctor import bus, link, preflight
 from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -69,9 +66,18 @@ class Bench:
 
     mock: MockRig
     rig: Path
+    shell: Shell
 
-    def check(self, *more: str) -> int:
-        return main(["doctor", "--rig", str(self.rig), "--out", str(self.rig.parent), *more])
+    def check(self, *more: str, status: int = 0) -> dict[str, str]:
+        """Check -> its line."""
+        self.shell("doctor --rig", self.rig, "--out", self.rig.parent, *more, status=status)
+        return lines(self.shell.out)
+
+    def fails(self, *names: str) -> str:
+        """What these checks, which alone fail, say of it."""
+        found = self.check(status=1)
+        assert failing(found) == {*names}
+        return found[names[0]]
 
 
 @pytest.fixture(autouse=True)
@@ -88,27 +94,31 @@ def replace_bus(monkeypatch: pytest.MonkeyPatch, opened: Callable[[str], Any]) -
     monkeypatch.setattr("experiments.doctor.bus.open_bus", opened)
 
 
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mock: MockRig, bound: float = 5.0) -> Iterator[Bench]:
-    replace_bus(monkeypatch, lambda path: mock.imu)
-    with PtyServer(mock.firmware, mock.clock) as port:
-        rig = tmp_path / "rig.toml"
-        rig.write_text(RIG.format(port=port.path, bound=bound))
-        yield Bench(mock, rig)
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> Iterator[Callable[..., Bench]]:
+    with ExitStack() as stack:
+        def served(plant: Any = None, bound: float = 5.0, bus_khz: float = 400.0, **firmware: float) -> Bench:
+            mock = MockRig(plant or StillPlant(), firmware=settings(**firmware), bus_khz=bus_khz)
+            replace_bus(monkeypatch, lambda path: mock.imu)
+            port = stack.enter_context(PtyServer(mock.firmware, mock.clock))
+            rig = tmp_path / "rig.toml"
+            rig.write_text(RIG.format(port=port.path, bound=bound))
+            return Bench(mock, rig, shell)
+
+        yield served
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    yield from serve(tmp_path, monkeypatch, MockRig(StillPlant(), firmware=settings()))
+def bench(serve: Callable[..., Bench]) -> Bench:
+    return serve()
 
 
 @pytest.fixture
-def swung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    yield from serve(tmp_path, monkeypatch, MockRig(SwungPlant(), firmware=settings()))
+def swung(serve: Callable[..., Bench]) -> Bench:
+    return serve(SwungPlant())
 
 
-def lines(capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
-    """Check -> its line."""
-    out = capsys.readouterr().out
+def lines(out: str) -> dict[str, str]:
     rows = [line for line in out.splitlines() if line[:4] in ("ok  ", "warn", "FAIL")]
     return {row[6:].split("  ")[0]: row for row in rows}
 
@@ -117,10 +127,8 @@ def failing(found: dict[str, str]) -> set[str]:
     return {name for name, line in found.items() if line.startswith("FAIL")}
 
 
-def test_a_good_rig_passes_every_check(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    status = bench.check()
-    found = lines(capsys)
-    assert status == 0, found
+def test_a_good_rig_passes_every_check(bench: Bench) -> None:
+    found = bench.check()
     assert set(found) >= {"serial permissions", "exclusive use", "firmware version", "firmware settings",
                           "latency timer", "drive", "I2C bus", "kernel driver", "chip identity", "I2C speed",
                           "IMU settings", "telemetry", "clock bound", "shunt zero", "IMU samples", "gyro bias",
@@ -128,8 +136,7 @@ def test_a_good_rig_passes_every_check(bench: Bench, capsys: pytest.CaptureFixtu
     assert bench.mock.firmware.drive.torque_nm == 0.0
 
 
-def test_faults_on_the_bus(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                           capsys: pytest.CaptureFixture[str]) -> None:
+def test_faults_on_the_bus(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     driver = tmp_path / "sys/bus/i2c/drivers/st_lsm9ds1"
     chip = tmp_path / "sys/bus/i2c/devices/1-006b"
     driver.mkdir(parents=True)
@@ -137,19 +144,12 @@ def test_faults_on_the_bus(bench: Bench, tmp_path: Path, monkeypatch: pytest.Mon
     (chip / "driver").symlink_to(driver)
     monkeypatch.setattr(bus, "SYSFS", tmp_path / "sys")
     bench.mock.imu.fail(errno.EBUSY)
-    assert bench.check() == 1
-    found = lines(capsys)
-    assert failing(found) == {"kernel driver"}
-    assert "bound: st_lsm9ds1; echo 1-006b | sudo tee" in found["kernel driver"]
+    assert "bound: st_lsm9ds1; echo 1-006b | sudo tee" in bench.fails("kernel driver")
     bench.mock.imu.fail(errno.EREMOTEIO)
-    assert bench.check() == 1
-    found = lines(capsys)
-    assert failing(found) == {"chip identity"}
-    assert "pull-ups" in found["chip identity"]
+    assert "pull-ups" in bench.fails("chip identity")
 
 
-def test_another_chip_and_no_bus(bench: Bench, monkeypatch: pytest.MonkeyPatch,
-                                 capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_chip_and_no_bus(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     class OtherChip:
         """Answers every read with 0x3D, the magnetometer's identity."""
 
@@ -163,57 +163,41 @@ def test_another_chip_and_no_bus(bench: Bench, monkeypatch: pytest.MonkeyPatch,
             return
 
     replace_bus(monkeypatch, lambda path: OtherChip())
-    assert bench.check() == 1
-    found = lines(capsys)
-    assert failing(found) == {"chip identity"}
-    assert "0x3D" in found["chip identity"]
+    assert "0x3D" in bench.fails("chip identity")
     replace_bus(monkeypatch, open_bus)
     bench.rig.write_text(bench.rig.read_text().replace("bus_khz", 'bus = "/dev/i2c-nowhere"\nbus_khz'))
-    assert bench.check() == 1
-    found = lines(capsys)
-    assert failing(found) == {"I2C bus"}
-    assert "enable I2C" in found["I2C bus"]
+    assert "enable I2C" in bench.fails("I2C bus")
 
 
 @pytest.mark.parametrize(("khz", "status"), [(30.0, "FAIL"), (100.0, "warn")])
-def test_a_slow_bus_is_measured(khz: float, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                capsys: pytest.CaptureFixture[str]) -> None:
-    mock = MockRig(StillPlant(), firmware=settings(), bus_khz=khz)
-    for bench in serve(tmp_path, monkeypatch, mock):
-        bench.rig.write_text(bench.rig.read_text().replace("59.5", "238.0" if khz < 100 else "59.5"))
-        assert bench.check() == (1 if status == "FAIL" else 0)
-        line = lines(capsys)["I2C speed"]
-        assert line.startswith(status)
-        assert "i2c_arm_baudrate=400000" in line
-        assert float(line.split()[3]) <= 1.01 * khz
+def test_a_slow_bus_is_measured(khz: float, status: str, serve: Callable[..., Bench]) -> None:
+    bench = serve(bus_khz=khz)
+    bench.rig.write_text(bench.rig.read_text().replace("59.5", "238.0" if khz < 100 else "59.5"))
+    line = bench.check(status=int(status == "FAIL"))["I2C speed"]
+    assert line.startswith(status)
+    assert "i2c_arm_baudrate=400000" in line
+    assert float(line.split()[3]) <= 1.01 * khz
 
 
-def test_the_port_in_other_hands_or_missing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_port_in_other_hands_or_missing(bench: Bench) -> None:
     port = bench.rig.read_text().split('port = "')[1].split('"')[0]
     child = subprocess.Popen([sys.executable, "-c", f"f = open({port!r}, 'rb'); print(flush=True); input()"],
                              stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert child.stdout is not None
     child.stdout.readline()
     try:
-        assert bench.check() == 1
-        found = lines(capsys)
-        assert failing(found) == {"exclusive use"}
-        assert f"({child.pid})" in found["exclusive use"]
+        assert f"({child.pid})" in bench.fails("exclusive use")
     finally:
         child.communicate(b"\n")
     bench.rig.write_text(bench.rig.read_text().replace(port, "/dev/ttyNowhere"))
-    assert bench.check() == 1
-    captured = capsys.readouterr()
-    assert "no such port; plug the controller in" in captured.out
-    assert captured.err.count("\n") == 1 and "checks failed: controller" in captured.err
+    bench.shell("doctor --rig", bench.rig, "--out", bench.rig.parent, status=1)
+    out, err = bench.shell.read()
+    assert "no such port; plug the controller in" in out
+    assert err.count("\n") == 1 and "checks failed: controller" in err
 
 
-def test_latency_timer(bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_latency_timer(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SerialLink, "latency_timer_ms", property(lambda self: 16))
-    assert bench.check() == 1
-    found = lines(capsys)
-    assert failing(found) == {"latency timer"}
-    assert "16 ms; echo 1 | sudo tee" in found["latency timer"]
+    assert "16 ms; echo 1 | sudo tee" in bench.fails("latency timer")
 
 
 @pytest.mark.parametrize(("firmware", "check", "words"), [
@@ -222,42 +206,29 @@ def test_latency_timer(bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: py
     ({"torque_limit_nm": 1.0}, "firmware settings", "torque_nm is 2, the firmware's 1"),
     ({"version": 2}, "controller", "flash matching firmware"),
 ])
-def test_firmware(firmware: dict[str, float], check: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                  capsys: pytest.CaptureFixture[str]) -> None:
-    for bench in serve(tmp_path, monkeypatch, MockRig(StillPlant(), firmware=settings(**firmware))):
-        assert bench.check() == 1
-        found = lines(capsys)
-        assert failing(found) == {check}
-        assert words in found[check]
+def test_firmware(firmware: dict[str, float], check: str, words: str, serve: Callable[..., Bench]) -> None:
+    assert words in serve(**firmware).fails(check)
 
 
-def test_a_latched_fault(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_latched_fault(bench: Bench) -> None:
     bench.mock.firmware.drive.trip(Fault.OVERTEMPERATURE, 95.0)
-    assert bench.check() == 1
-    found = lines(capsys)["drive"]
+    found = bench.check(status=1)["drive"]
     assert "overtemperature; let the motor cool" in found and "then legid doctor --clear-faults --rig RIG" in found
-    assert bench.check("--clear-faults") == 0
-    assert "no fault" in lines(capsys)["drive"]
+    assert "no fault" in bench.check("--clear-faults")["drive"]
     bench.mock.firmware.gate_driver_ok = False
-    assert bench.check("--clear-faults") == 1  # its cause is still there
-    assert "gate" in lines(capsys)["drive"]
+    assert "gate" in bench.check("--clear-faults", status=1)["drive"]  # its cause is still there
 
 
-def test_a_clock_bound_that_is_not_met(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                       capsys: pytest.CaptureFixture[str]) -> None:
-    for bench in serve(tmp_path, monkeypatch, MockRig(StillPlant(), firmware=settings()), bound=1e-6):
-        assert bench.check() == 1
-        assert failing(lines(capsys)) == {"clock bound"}
+def test_a_clock_bound_that_is_not_met(serve: Callable[..., Bench]) -> None:
+    serve(bound=1e-6).fails("clock bound")
 
 
-def test_a_bad_cable_is_seen(bench: Bench, monkeypatch: pytest.MonkeyPatch,
-                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_cable_is_seen(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     wire = FaultyWire(WireFaults(flip=0.1), np.random.default_rng(0))
     inner = bench.mock.firmware.transmit
     monkeypatch.setattr(bench.mock.firmware, "transmit",
                         lambda until_ns: [(t, b"".join(wire.pass_on(data))) for t, data in inner(until_ns)])
-    assert bench.check() == 1
-    found = lines(capsys)
+    found = bench.check(status=1)
     assert "telemetry" in failing(found)
     assert "check cable" in found["telemetry"]
 
@@ -284,10 +255,8 @@ class Disk(FaultyDisk):
         self.close()
 
 
-def test_a_leg_swung_by_hand_agrees(swung: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    status = swung.check("--move", "2.5")
-    found = lines(capsys)
-    assert status == 0, found
+def test_a_leg_swung_by_hand_agrees(swung: Bench) -> None:
+    found = swung.check("--move 2.5")
     for name in ("knee encoder", "gyro", "accelerometer x", "accelerometer y"):
         scale = float(found[name].split("scale ")[1].split(";")[0])
         assert scale == pytest.approx(1.0, abs=0.03)
@@ -298,18 +267,16 @@ def test_a_leg_swung_by_hand_agrees(swung: Bench, capsys: pytest.CaptureFixture[
     ("[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]", "accelerometer x"),
     ("[[1, 0, 0], [0, -1, 0], [0, 0, 1]]", "accelerometer y"),
 ])
-def test_a_turned_mount_is_found(mount: str, check: str, swung: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_turned_mount_is_found(mount: str, check: str, swung: Bench) -> None:
     swung.rig.write_text(swung.rig.read_text() + f"imu_mount = {mount}\n")
-    assert swung.check("--move", "1.6") == 1
-    found = lines(capsys)
+    found = swung.check("--move 1.6", status=1)
     assert failing(found) == {check}
     assert "sign is WRONG" in found[check]
 
 
-def test_a_leg_that_was_not_moved(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.check("--move", "2") == 1
-    assert "not moved enough" in lines(capsys)["gyro"]
-    assert bench.check("--move", "0") == 2
+def test_a_leg_that_was_not_moved(bench: Bench) -> None:
+    assert "not moved enough" in bench.check("--move 2", status=1)["gyro"]
+    bench.check("--move 0", status=2)
 
 
 IP = """#!/bin/sh
@@ -338,14 +305,14 @@ def test_can_interface(flags: str, state: str, bitrate: int, status: str, words:
 
 
 def test_without_a_rig_file_the_usual_places_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                           capsys: pytest.CaptureFixture[str]) -> None:
+                                                           shell: Shell) -> None:
     def nobody(device: ControllerDevice, rig: Rig | None) -> None:
         raise DeviceAbsent(f"leg controller on {device.port}: no such port")
 
     monkeypatch.setattr("experiments.rig.devices.connect", nobody)
     replace_bus(monkeypatch, lambda path: open_bus(path + "-nowhere"))
-    assert main(["doctor", "--out", str(tmp_path / "nowhere")]) == 1
-    found = lines(capsys)
+    shell("doctor --out", tmp_path / "nowhere", status=1)
+    found = lines(shell.out)
     assert failing(found) >= {"controller", "I2C bus", "disk space"}
     assert "/dev/ttyACM0" in found["controller"]
     assert "/dev/i2c-1-nowhere" in found["I2C bus"]

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import parse_rig
+from daq import parse_rig
 from drivers.as5600 import MD, MH, ML
-from drivers.mock.i2c_server import I2cServer
+from drivers.mock import I2cServer, MockRig, PivotSettings, ShuntSettings
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import PivotSettings, ShuntSettings
 from experiments.doctor import preflight
 from experiments.doctor.check import Check
 from tests.support.processes import REAL_CLOCK

@@ -10,35 +10,10 @@ import numpy as np
 import pytest
 
 import legid
+from tests.support.earlier import FOLDER, earlier
 
-CAUSE = {"effect": "gyro_scale", "kind": "sensors", "joint": None, "meaning": "The gyro reads too much.",
-         "p_value": 1e-9, "size": [{"name": "scale_error", "unit": "1", "value": 0.03, "ci95": [0.029, 0.031]}],
-         "confusable_with": []}
-CANDIDATES = [
-    {"effect": "gyro_scale", "joint": None, "size_name": "scale_error", "p_value": 1e-9, "change": 0.03,
-     "ci95": [0.029, 0.031], "smallest_detectable": 0.001, "unit": "1"},
-    {"effect": "payload", "joint": 2, "size_name": "mass", "p_value": 1.0, "change": 0.0, "ci95": None,
-     "smallest_detectable": None, "unit": "kg"}]
-ANSWER: dict[str, Any] = {
-    "verdict": "named", "sentence": "Changed: gyro_scale, scale_error 0.03.", "causes": [CAUSE],
-    "candidates": CANDIDATES,
-    "noise": [{"column": "q2_rad", "ratio": 1.0, "ci95": [0.9, None], "p_value": 1.0}], "free_runs": None,
-    "held_out": {"runs": ["b.csv"], "gain": [12.0]},
-    "not_testable": [{"effect": "encoder_offset", "joint": 2, "why": "it differs from run to run"}]}
-MORE = {"warnings": ["look at it"], "next_step": "Check that sensor: legid doctor --rig RIG"}
-FILE: dict[str, Any] = {"version": "0.1.0", "commit": "unknown", "runs": [], "rig": None, "model": None, "command": "",
-                        "seed": None, "models": []}
-CHANGE: dict[str, Any] = {
-    "schema": "legid.diagnosis/1", **ANSWER, "against": {"runs": ["reference a.csv"], "structure": [0.1, 0.2],
-                                                         "p_any": 1e-9, "sources": [{"file": "a", "sha256": "0" * 64}]},
-    "runs": {"test": ["b.csv"]}, **MORE, "set_aside": [{"run": "c.csv", "why": "it stands still"}], "wall_s": 3.0,
-    "damaged": [{"run": "b.csv", "what": "the end"}], "provenance": FILE}
-PAIR: dict[str, Any] = {"a": {"name": "A", "runs": ["A a.csv"]}, "b": {"name": "B", "runs": ["B b.csv"]}, **ANSWER,
-                        "structure": [0.1, 0.2], "p_any": 1e-9, **MORE}
-SAME = {**PAIR, "b": {"name": "C", "runs": ["C c.csv"]}, "verdict": "no_change", "sentence": "No difference.",
-        "causes": []}
-SESSIONS: dict[str, Any] = {"schema": "legid.sessions/1", "set_aside": [], "pairs": [SAME, PAIR], "damaged": [],
-                            "provenance": FILE}
+CHANGE = earlier("change")
+SESSIONS = earlier("sessions")
 
 
 def written(folder: Path, document: dict[str, Any]) -> Path:
@@ -47,7 +22,7 @@ def written(folder: Path, document: dict[str, Any]) -> Path:
 
 
 def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
-    found = legid.Change.read(written(tmp_path, CHANGE))
+    found = legid.Change.read(FOLDER / "change.json")
     text = str(found)
     assert text.startswith(CHANGE["sentence"]) and "From the reference runs to these runs:" in text
     assert "0.029 .. 0.031" in text and "payload, link 2" in text and "none" in text and "nan" not in text
@@ -68,7 +43,7 @@ def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path
 
 
 def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Path) -> None:
-    found = legid.Sessions.read(written(tmp_path, SESSIONS))
+    found = legid.Sessions.read(FOLDER / "sessions.json")
     assert str(found).splitlines()[4].split() == ["A", "C", "no_change", "No", "difference."]
     assert found.verdict == "named" and found.pairs[1].a.name == "A" and len(found.plot().axes) == 1
     assert found.to_frame()[["from", "to", "value"]].values.tolist() == [["A", "B", 0.03]]
@@ -78,5 +53,5 @@ def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Pat
     found.to_json(tmp_path / "again.json")
     again = json.loads((tmp_path / "again.json").read_text())
     assert [pair.pop("wall_s") for pair in again["pairs"]] == [0.0, 0.0] and again == SESSIONS
-    one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": [PAIR]}))
+    one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": SESSIONS["pairs"][1:]}))
     assert "From A to B:" in str(one) and "from" not in one.to_frame()

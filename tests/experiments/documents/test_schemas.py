@@ -11,8 +11,8 @@ import jsonschema  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 
-from estimator import Combination
-from estimator.diagnosis import Diagnosis, SensorGain
+from estimator import Combination, Diagnosis
+from estimator.diagnosis import SensorGain
 from experiments.documents import DiagnosisDocument, Document
 from tests.support.diagnoses import synthetic
 from tests.support.fits import document_of, synthetic_fit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,36 +11,14 @@ import legid
 from experiments.documents import DOCUMENTED, Document, ValidationDocument, keys_table
 from experiments.documents.document import described
 from experiments.reports import whole_validation_text
+from tests.support.earlier import FOLDER, earlier
 
-EARLIER: dict[str, Any] = {
-    "schema": "legid.validation/1", "sensors": "imu",
-    "fit_percent": [{"run": "a.csv", "whole": {"q1_rad": None, "q2_rad": 91.0},
-                     "short": {"q1_rad": 95.0, "q2_rad": 97.0}, "short_s": 1.0}],
-    "runs": [{"run": "a.csv", "samples": 900, "horizon_s": 3.1, "diverged": True,
-              "initial_state": {"q1_rad": 0.1, "q1d": 0.2, "q2_rad": 0.3, "q2d": 0.4},
-              "summed_squared_error": {"q1_rad": None, "q1d": None, "q2_rad": 4.0, "q2d": 5.0},
-              "rmse": {"q1_rad": 0.01, "q1d": 0.02, "q2_rad": 0.03, "q2d": 0.04}}],
-    "trust": {"level": "caution", "sentence": "ROUGH: over 1 s it is.", "reasons": ["Look at it."]},
-    "fitted_to": [],
-    "horizons": [{"horizon_s": 0.5, "pieces": 18, "blown_up": 2, "rmse": {"q1_rad": 0.3, "q2_rad": None},
-                  "last_velocity": {"q1_rad": 0.2, "q2_rad": 0.2}, "noise": {"q1_rad": 0.001, "q2_rad": 0.001}},
-                 {"horizon_s": 9.0, "pieces": 1, "blown_up": 1, "rmse": {"q1_rad": None, "q2_rad": 0.03},
-                  "last_velocity": {"q1_rad": 2.0, "q2_rad": 2.0}, "noise": {"q1_rad": 0.001, "q2_rad": 0.001}}],
-    "set_aside": [{"run": "b.csv", "why": "it stands still"}], "readings": [], "damaged": [],
-    "provenance": {"version": "0.1.0", "commit": "unknown", "runs": [{"file": "a.csv", "sha256": "0" * 64}],
-                   "rig": None, "model": None, "command": "legid validate", "seed": None, "models": []}}
+EARLIER = earlier("validation")
 """As version 0.1 wrote it: no `start_s`, no `band95`."""
 
 
-@pytest.fixture
-def earlier(tmp_path: Path) -> Path:
-    path = tmp_path / "earlier.json"
-    path.write_text(json.dumps(EARLIER))
-    return path
-
-
-def test_a_document_of_an_earlier_version_is_read_and_told(earlier: Path) -> None:
-    found = legid.Validations.read(earlier)
+def test_a_document_of_an_earlier_version_is_read_and_told(tmp_path: Path) -> None:
+    found = legid.Validations.read(FOLDER / "validation.json")
     text = whole_validation_text(found)
     assert text.startswith("ROUGH: over 1 s it is.\nLook at it.\n") and "a.csv: the simulation diverged" in text
     assert "at 0.5 s 2 of 18 simulations of the model diverged" in text
@@ -51,15 +28,15 @@ def test_a_document_of_an_earlier_version_is_read_and_told(earlier: Path) -> Non
     assert repr(found) == "<Validations: ROUGH: over 1 s it is.>"
     assert found.set_aside[0].run == "b.csv" and len(found) == 1
     assert found.to_frame().loc["a.csv", "q2_rad"] == 0.03 and "<table>" in found._repr_html_()
-    found.page(earlier.parent / "p.html")
-    assert "Look at it." in (earlier.parent / "p.html").read_text()
+    found.page(tmp_path / "p.html")
+    assert "Look at it." in (tmp_path / "p.html").read_text()
     for ask in (found.plot, lambda: found[0]):
         with pytest.raises(legid.WorkError, match="read from a file, which has no motion"):
             ask()
 
 
-def test_what_was_read_is_written_as_it_was(earlier: Path, tmp_path: Path) -> None:
-    legid.Validations.read(earlier).to_json(tmp_path / "again.json")
+def test_what_was_read_is_written_as_it_was(tmp_path: Path) -> None:
+    legid.Validations.read(FOLDER / "validation.json").to_json(tmp_path / "again.json")
     again = json.loads((tmp_path / "again.json").read_text())
     for part, more in ((again["fit_percent"][0], ("band95", {})), (again["runs"][0], ("start_s", None))):
         assert part.pop(more[0]) == more[1]

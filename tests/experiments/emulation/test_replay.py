@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.mcap_run import RawRun, read_run
-from daq.timing.align import recorded_rig
-from estimator.result import FitResult
+from daq.runs import RawRun, read_run
+from daq.timing import recorded_rig
+from estimator import FitResult
 from experiments import cli
-from experiments.emulation.plant import LegBody
-from experiments.emulation.replayed_run import replay_run
-from experiments.workflows.fit import fit_runs
+from experiments.emulation import LegBody, replay_run
+from experiments.workflows import fit_runs
 from tests.support.paths import FIXTURES
 from tests.support.sensor_bench import SensorBench
+from tests.support.shell import Shell
 
 NAMES = ("healthy", "pulled-cable", "gap", "clock-reset", "saturated-gyro", "noisy")
 SAID = {"pulled-cable": "the connection is gone", "gap": "bus errors [errno 121]",
@@ -81,13 +81,13 @@ def test_fixtures_hold_what_they_are_named_after_and_fit_the_leg(name: str) -> N
     assert found[:5] == pytest.approx(truth[:5], rel=0.06 if name == "noisy" else 0.015)
 
 
-def test_a_replay_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_says_that_it_is_one(tmp_path: Path, shell: Shell) -> None:
     out = replayed("pulled-cable", tmp_path)
-    assert "REPLAY" in capsys.readouterr().out
+    assert "REPLAY" in shell.out
     assert read_run(out).facts["replay_of"] == "pulled-cable.mcap"
     assert "REPLAY" in read_run(out).events[0].text
-    assert cli.main(["info", str(out)]) == 0
-    assert "REPLAY of pulled-cable.mcap" in capsys.readouterr().out
+    shell("info", out)
+    assert "REPLAY of pulled-cable.mcap" in shell.out
 
 
 def test_a_replay_under_other_limits_names_the_one_that_it_would_pass(
@@ -100,18 +100,17 @@ def test_a_replay_under_other_limits_names_the_one_that_it_would_pass(
     assert "limit q2_rad tripped" in capsys.readouterr().out
 
 
-def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, shell: Shell) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recorded("healthy").read_bytes()[:200_000])
-    assert cli.main(["record", "--replay", str(cut), "--out", str(tmp_path / "out.mcap")]) == 2
-    assert "is damaged: its end is missing" in capsys.readouterr().err
+    shell("record --replay", cut, "--out", tmp_path / "out.mcap", status=2)
+    assert "is damaged: its end is missing" in shell.err
 
 
-def test_a_run_of_another_kind_of_recorder_is_refused_by_name(tmp_path: Path,
-                                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_of_another_kind_of_recorder_is_refused_by_name(tmp_path: Path, shell: Shell) -> None:
     from tests.support.motor_off_runs import write_off
 
     write_off(tmp_path / "still.mcap")  # no device said in it what it is
-    assert cli.main(["record", "--replay", str(tmp_path / "still.mcap"), "--out", str(tmp_path / "n.mcap")]) == 2
-    assert "does not say which firmware it is of" in capsys.readouterr().err
+    shell("record --replay", tmp_path / "still.mcap", "--out", tmp_path / "n.mcap", status=2)
+    assert "does not say which firmware it is of" in shell.err
     assert not (tmp_path / "n.mcap").exists()

@@ -7,20 +7,18 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from daq.recording.plan import read_plan
-from daq.rig import load_rig
-from estimator import CAUSED, Verdict
+from daq import load_rig
+from daq.recording import read_plan
+from estimator import CAUSED, FitOptions, Verdict, fit
 from estimator.effects import PlanKind
-from estimator.fitting.fit import fit
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from experiments.cli import main
-from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Bench, merit
-from experiments.excite.session import chosen_for, next_choice, usual_choice
-from experiments.models import known_effects
-from experiments.models.model_file import load_model
+from estimator.model import leg2
+from experiments.excite import Bench, next_choice, usual_choice
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, merit
+from experiments.excite.session import chosen_for
+from experiments.models import known_effects, load_model
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell, typed
 
 SECONDS = 6.0
 
@@ -40,14 +38,14 @@ def bench(folder: Path) -> Bench:
     return Bench(load_model(folder / "model.json"), load_rig(folder / "rig.toml"), "model.json")
 
 
-def excite(folder: Path, *more: str, steps: int = 30) -> int:
-    return main(["excite", "--rig", str(folder / "rig.toml"), "--model", str(folder / "model.json"), "--seconds",
-                 f"{SECONDS:g}", "--tries", "1", "--steps", str(steps), *more])
+def excite(folder: Path, *more: object, steps: int = 30, status: int = 0) -> None:
+    typed("excite --rig", folder / "rig.toml", "--model", folder / "model.json",
+          f"--seconds {SECONDS:g} --tries 1 --steps {steps}", *more, status=status)
 
 
 @pytest.fixture(scope="module")
 def plan(folder: Path) -> np.ndarray:
-    assert excite(folder, "--out", str(folder / "plan.csv"), steps=60) == 0
+    excite(folder, "--out", folder / "plan.csv", steps=60)
     return read_plan(folder / "plan.csv").torque_nm
 
 
@@ -69,11 +67,10 @@ def test_only_odd_harmonics(plan: np.ndarray) -> None:
     assert plan[0] == plan[-1] == 0.0
 
 
-def test_condition_numbers_are_printed_and_seeds_are_realisations(folder: Path,
-                                                                  capsys: pytest.CaptureFixture[str]) -> None:
+def test_condition_numbers_are_printed_and_seeds_are_realisations(folder: Path, shell: Shell) -> None:
     for name, seed in (("a.csv", "1"), ("b.csv", "1"), ("c.csv", "2")):
-        assert excite(folder, "--out", str(folder / name), "--seed", seed, steps=4) == 0
-    out = capsys.readouterr().out
+        excite(folder, "--out", folder / name, "--seed", seed, steps=4)
+    out = shell.out
     assert out.count("condition number before") == 3
     texts = [(folder / f"{name}.csv").read_text() for name in "abc"]
     assert texts[0] == texts[1] != texts[2]
@@ -109,7 +106,6 @@ def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> 
     t = np.arange(plan.size) / RATE_HZ
     edges = np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0, 1)
     chirp = bench.sized(edges * np.sin(2 * np.pi * (0.1 * t + 4.9 * t**2 / (2 * SECONDS))), 0.8)
-    assert chirp is not None
     fitted, predicted = [], []
     for tau in (chirp.torque_nm, plan):
         run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")
@@ -142,31 +138,31 @@ def test_models_off_by_the_model_error_keep_the_limits(folder: Path) -> None:
 def test_one_joint(tmp_path: Path) -> None:
     write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
-    assert excite(tmp_path, "--out", str(tmp_path / "plan.csv"), steps=5) == 0
+    excite(tmp_path, "--out", tmp_path / "plan.csv", steps=5)
     assert 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
 
 
 @pytest.mark.parametrize(("offset", "viscous", "said"), [
     (-0.02, 0.03, ""), (0.0, 0.03, "torque_offset_1 is zero"), (-0.02, -0.03, "beta3 is not positive")])
 def test_only_a_torque_offset_may_be_negative(offset: float, viscous: float, said: str, tmp_path: Path,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+                                              shell: Shell) -> None:
     write_model(tmp_path / "model.json", [0.02, 0.1, viscous, 0.01, offset],
                 {"model": "joint1", "actuated": (1,), "torque_offset": (1,)})
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
-    assert excite(tmp_path, "--out", str(tmp_path / "plan.csv"), steps=5) == (2 if said else 0)
-    assert said in capsys.readouterr().err
+    excite(tmp_path, "--out", tmp_path / "plan.csv", steps=5, status=2 if said else 0)
+    assert said in shell.err
     assert said or 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
 
 
-def session(folder: Path, name: str, *more: str) -> dict:
-    assert excite(folder, "--session", str(folder / name), *more, steps=3) == 0
+def session(folder: Path, name: str, *more: object) -> dict:
+    excite(folder, "--session", folder / name, *more, steps=3)
     return json.loads((folder / name / "session.json").read_text())
 
 
-def test_a_session_has_every_kind_in_each_quarter(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_has_every_kind_in_each_quarter(folder: Path, shell: Shell) -> None:
     """Each plan within the limits by the prior, none twice."""
     found = session(folder, "usual")
-    assert "condition number before" in capsys.readouterr().out
+    assert "condition number before" in shell.out
     plans = found["plans"]
     assert len(plans) == 16 and found["session"]["seconds"] == pytest.approx(16 * SECONDS)
     for quarter in range(4):
@@ -191,16 +187,15 @@ def test_next_goes_by_the_causes_of_every_verdict_that_has_them(verdict: Verdict
     assert next_choice(path).kinds == chosen_for([known_effects()["stribeck_friction"]]).kinds != usual_choice().kinds
 
 
-def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
-                                               capsys: pytest.CaptureFixture[str]) -> None:
+def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path, shell: Shell) -> None:
     diagnosis = {"schema": "legid.diagnosis/1", "verdict": "one_of",
                  "causes": [{"effect": "stribeck_friction", "joint": 2}, {"effect": "torque_delay", "joint": None},
                             {"effect": "sensor_time_skew", "joint": None}]}
     path = tmp_path / "d.json"
     path.write_text(json.dumps(diagnosis))
-    found = session(folder, "next", "--next", str(path), "--runs", "4")
+    found = session(folder, "next", "--next", path, "--runs 4")
     assert [p["kind"] for p in found["plans"]] == ["large", "slow", "fast", "steady"]
-    said = capsys.readouterr().out
+    said = shell.out
     assert "fast: high frequencies, 3 to 8 Hz; for torque_delay, sensor_time_skew" in said
     assert "by hand: sensor_time_skew: tap the leg" in said and "fewer than 16 runs" in said
     slow = read_plan(folder / "next" / "02-slow.csv").torque_nm
@@ -219,37 +214,37 @@ def test_every_effect_has_its_kinds() -> None:
         assert {"large", "small"} <= set(choice.kinds)
 
 
-def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = ("--out", str(folder / "x.csv"))
-    assert excite(folder, *out, "--high", "0.2") == 2
-    assert excite(folder, *out, "--margin", "2") == 2
-    assert excite(folder, *out, "--seed", "-1") == 2
-    assert excite(folder, *out, "--next", "d.json") == 2
+def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, shell: Shell) -> None:
+    out = "--out", folder / "x.csv"
+    excite(folder, *out, "--high 0.2", status=2)
+    excite(folder, *out, "--margin 2", status=2)
+    excite(folder, *out, "--seed -1", status=2)
+    excite(folder, *out, "--next d.json", status=2)
     (tmp_path / "d.json").write_text('{"schema": "legid.fit/1"}')
-    assert excite(folder, "--session", str(tmp_path / "s"), "--next", str(tmp_path / "d.json")) == 2
+    excite(folder, "--session", tmp_path / "s", "--next", tmp_path / "d.json", status=2)
     write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
-    assert excite(tmp_path, *out) == 2
+    excite(tmp_path, *out, status=2)
     (tmp_path / "model.json").write_bytes((folder / "model.json").read_bytes())
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1e-6))
-    assert excite(tmp_path, *out) == 1
-    errors = capsys.readouterr().err.splitlines()
+    excite(tmp_path, *out, status=1)
+    errors = shell.err.splitlines()
     assert len(errors) == 7
     assert "odd harmonics" in errors[0] and "--session DIR" in errors[3] and "no legid.diagnosis/1" in errors[4]
     assert "give a model of this rig" in errors[5] and "widen [limits]" in errors[6]
     assert not (folder / "x.csv").exists() and not (tmp_path / "s").exists()
 
 
-def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, shell: Shell) -> None:
     start = ["excite", "--rig", str(folder / "rig.toml"), "--out", str(folder / "first.csv")]
-    assert main([*start, "--seconds", "8"]) == 0
+    shell(*start, "--seconds 8")
     first = read_plan(folder / "first.csv")
     assert first.peak_nm == pytest.approx(0.1 * 1.5) and first.duration_s == pytest.approx(8.0)
-    assert main([*start, "--seconds", "8", "--peak", "0.7", "--seed", "1"]) == 0
+    shell(*start, "--seconds 8 --peak 0.7 --seed 1")
     second = read_plan(folder / "first.csv").torque_nm
     assert np.abs(second).max() == pytest.approx(0.7) and not np.allclose(second / 0.7, first.torque_nm / 0.15)
-    assert main([*start, "--peak", "2"]) == 2
-    assert main([*start, "--peak", "1", "--model", str(folder / "model.json")]) == 2
-    assert main([*start, "--seconds", "3"]) == 2
-    errors = capsys.readouterr().err.splitlines()
+    shell(*start, "--peak 2", status=2)
+    shell(*start, "--peak 1 --model", folder / "model.json", status=2)
+    shell(*start, "--seconds 3", status=2)
+    errors = shell.err.splitlines()
     assert len(errors) == 3 and "limit of 1.5 N m" in errors[0] and "leave out --peak" in errors[1]

@@ -11,32 +11,33 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from daq.rig import load_rig
-from estimator import Combination, Finding, FitOptions, fit
+from daq import load_rig
+from estimator import Combination, Finding, FitOptions, Trajectory, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
-from estimator.result import OmittedEffect, Trajectory
+from estimator.result import OmittedEffect
 from experiments import cli
 from experiments.documents import ComparisonDocument
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS, NOTHING
-from experiments.excite.multisine import random_multisine
-from experiments.judge.comparison import Comparison, HorizonError, comparison_trust
-from experiments.judge.fit_checks import check_fit
-from experiments.judge.residuals import (
-    autocorrelation,
-    cross_correlation,
+from experiments.emulation import EFFECTS, NOTHING, record_emulated
+from experiments.excite import random_multisine
+from experiments.judge import (
+    Comparison,
+    HorizonError,
+    check_fit,
+    comparison_trust,
     fit_percent,
-    residuals_of,
-    torque_autocorrelation,
+    fit_trust,
+    validation_trust,
 )
-from experiments.judge.trust import fit_trust, validation_trust
-from experiments.reports.comparison import comparison_sections, comparison_text
+from experiments.judge.residuals import autocorrelation, cross_correlation, residuals_of, torque_autocorrelation
+from experiments.reports import comparison_text
+from experiments.reports.comparison import comparison_sections
 from experiments.reports.html import render_page
 from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
+from tests.support.shell import Shell
 
 
 @pytest.fixture(scope="module")
@@ -211,12 +212,12 @@ def test_fit_is_matlab_s() -> None:
 
 
 def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[str, str], tmp_path: Path,
-                                                      capsys: pytest.CaptureFixture[str]) -> None:
+                                                      shell: Shell) -> None:
     runs = [str(folder / f"{name}.mcap") for name in ("none2", "joint_stiffness0")]
     models = [str(folder / f"{name}.json") for name in fits]
     out, page = tmp_path / "c.json", tmp_path / "c.html"
-    assert cli.main(["compare", *models, *runs, "--json", str(out), "--html", str(page)]) == 0
-    told = capsys.readouterr().out.splitlines()
+    shell("compare", *models, *runs, "--json", out, "--html", page)
+    told = shell.out.splitlines()
     assert "joint_stiffness.json was fitted to joint_stiffness0.mcap" in "".join(told[:3])
     document = json.loads(out.read_text())
     assert document["schema"] == "legid.comparison/1" and {e["column"] for e in document["errors"]} == {

@@ -7,12 +7,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from daq.errors import InputError
-from daq.recording.remote import PACKET_BYTES, Ended, Heard, Status, watched_by
-from drivers.errors import DeviceAbsent, DeviceBusy
-from experiments import cli
+from daq import InputError
+from daq.recording import PACKET_BYTES, Ended, Heard, Status, watched_by
+from drivers import DeviceAbsent
+from drivers.errors import DeviceBusy
 from experiments.live.access import Access, is_loopback
 from experiments.live.session import Phase, Session
+from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
 
@@ -71,23 +72,22 @@ def test_sockets_and_pages_of_strangers_are_refused(kind: str, headers: dict[str
     assert passes or sent[0].get("status", 403) == 403
 
 
-def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch,
-                                                         capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert cli.main(["live", "--demo"]) == 1
-    assert capsys.readouterr().err == "legid live: needs the extra: pip install legid[live]\n"
+    shell("live --demo", status=1)
+    assert shell.err == "legid live: needs the extra: pip install legid[live]\n"
 
 
-def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
     pytest.importorskip("nicegui")
     out = ["--out", str(tmp_path / "o")]
-    assert cli.main(["live", "--rig", str(tmp_path / "none.toml"), *out]) == 2
+    shell("live --rig", tmp_path / "none.toml", *out, status=2)
     (tmp_path / "rig.toml").write_text(RIG)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        assert cli.main(["live", "--rig", str(tmp_path / "rig.toml"), "--port", port, *out]) == 2
-    assert cli.main(["live", "--rig", str(tmp_path / "rig.toml"), "--host", "nowhere.invalid", *out]) == 2
-    said = capsys.readouterr().err.splitlines()
+        shell("live --rig", tmp_path / "rig.toml", "--port", port, *out, status=2)
+    shell("live --rig", tmp_path / "rig.toml", "--host nowhere.invalid", *out, status=2)
+    said = shell.err.splitlines()
     assert len(said) == 3 and "none.toml" in said[0] and "give another, or 0" in said[1] and "--host" in said[2]
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from daq import read_rig_file
-from experiments.live import children
+from experiments.live import children, started_demo_rig
 from experiments.live.bench import Bench
-from experiments.live.demo_rig import started_demo_rig
 from experiments.live.session import Phase, Session
 from experiments.workflows.executor import LocalExecutor
 from tests.support.paths import DEMO_RIG, ROOT

@@ -14,14 +14,15 @@ import numpy as np
 import psutil
 import pytest
 
-from daq.recording.plan import Plan, write_plan
+from daq import load_rig
+from daq.recording import Plan, write_plan
 from daq.recording.workers import real_time
-from daq.rig import load_rig
-from daq.runs.mcap_run import RawRun, read_run
-from drivers.mock.rig import STEP_NS
-from drivers.protocol import Fault, State
-from experiments.emulation.served_rig import ServedRig
-from experiments.excite.multisine import random_multisine
+from daq.runs import RawRun, read_run
+from drivers import State
+from drivers.mock import STEP_NS
+from drivers.protocol import Fault
+from experiments.emulation import ServedRig
+from experiments.excite import random_multisine
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser, Live, open_page
 from tests.support.processes import REAL_CLOCK
 

@@ -17,18 +17,14 @@ import numpy as np
 import pytest
 from smbus2 import i2c_msg
 
-from daq.errors import WorkError
+from daq import WorkError, parse_rig
+from daq.recording import EMERGENCY, STOP, Ended, Heard, Remote, Row, Status
 from daq.recording.host_load import HostLoad, busy_words
-from daq.recording.remote import EMERGENCY, STOP, Ended, Heard, Remote, Row, Status
-from daq.rig import parse_rig
-from daq.runs.mcap_run import read_run
-from drivers.errors import DeviceAbsent
-from drivers.i2c_bus import open_bus
+from daq.runs import read_run
+from drivers import DeviceAbsent, Lsm9ds1, open_bus
 from drivers.i2c_socket import SocketBus
-from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.i2c_server import I2cServer
+from drivers.mock import I2cServer, MockRig
 from drivers.mock.plant import StillPlant
-from drivers.mock.rig import MockRig
 from experiments.live.charts import CHARTS
 from experiments.live.jobs import Tail, fit_verdict, past_jobs
 from experiments.live.readings import limit_rows, readings
@@ -215,7 +211,6 @@ def test_a_bus_behind_a_socket_is_the_bus(tmp_path: Path) -> None:
 def test_the_emulated_rig_serves_until_it_is_told_to_end(tmp_path: Path) -> None:
     child = subprocess.Popen([sys.executable, "-m", "experiments.cli", "emulate", "--out", tmp_path / "rig"], cwd=ROOT,
                              stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
     assert child.stdout.readline().startswith(str(tmp_path / "rig" / "rig.toml"))
     assert len(list((tmp_path / "rig").glob("plan*.csv"))) == 8
     child.send_signal(signal.SIGTERM)

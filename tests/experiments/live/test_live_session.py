@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.recording.plan import Plan, write_plan
-from daq.rig import read_rig_file
-from daq.runs.mcap_run import read_run
-from experiments.live.demo_rig import started_demo_rig
+from daq import InputError, read_rig_file
+from daq.recording import Plan, write_plan
+from daq.runs import read_run
+from experiments.live import started_demo_rig
 from experiments.live.jobs import Job
 from experiments.live.session import PAGE_SILENT_S, Phase, Session
 from tests.support.processes import REAL_CLOCK

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.plan import Plan, write_plan
+from daq.recording import Plan, write_plan
 from daq.recording.workers import real_time
-from experiments.emulation.served_rig import ServedRig
+from experiments.emulation import ServedRig
 from tests.support.failing_live import ENTRY, PARTS
 from tests.support.live_browser import CHROMIUM, DRIVER, Browser, Live, open_page
 from tests.support.processes import REAL_CLOCK

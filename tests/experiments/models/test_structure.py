@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 import legid
-from daq.errors import InputError
-from daq.recording.plan import read_plan
-from estimator.diagnosis import Diagnosis
-from experiments import cli
+from daq import InputError
+from daq.recording import read_plan
+from estimator import Diagnosis
 from experiments.documents import DiagnosisDocument, finite, learnt_of
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
-from experiments.models.model_file import load_model, save_model
-from experiments.models.schema import JointTorque, Model, StructureValues, TableInput, TorqueTable
-from experiments.models.structure import laws_of, structure_values
+from experiments.models import Model, TorqueTable, load_model, save_model, structure_values
+from experiments.models.schema import JointTorque, StructureValues, TableInput
+from experiments.models.structure import laws_of
 from experiments.reports.structure import structure_section, structure_words
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import Shell
 
 SPRING = TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-2.0, 2.0),), std=(0.001, 0.001),
                      values=(SPRING_NM * (-2.0 - REST_RAD), SPRING_NM * (2.0 - REST_RAD)))
@@ -73,18 +73,17 @@ def test_simulation_is_the_motion_of_a_plant_with_that_torque(tmp_path: Path) ->
         assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * plain
 
 
-def test_validate_and_compare_use_it(tmp_path: Path) -> None:
+def test_validate_and_compare_use_it(tmp_path: Path, shell: Shell) -> None:
     run_of(with_table(SPRING), tmp_path, "--noise-seed", "3")
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
     save_model(model_with(), tmp_path / "plain.json")
     names = [str(tmp_path / name) for name in ("m.json", "plain.json", "run.csv")]
     words = ["validate", names[0], names[2], "--rig", str(rig), "--horizons", "0.5", "--json", str(tmp_path / "v.json")]
-    assert cli.main(words) == 0
+    shell(*words)
     (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
     assert run["rmse"]["q1_rad"] < 0.01 and run["rmse"]["q2_rad"] < 0.03
-    assert cli.main(["compare", *names, "--rig", str(rig), "--horizons", "0.5", "--json",
-                     str(tmp_path / "c.json")]) == 0
+    shell("compare", *names, "--rig", rig, "--horizons 0.5 --json", tmp_path / "c.json")
     told = json.loads((tmp_path / "c.json").read_text())
     assert all(row["b"] > 2.0 * row["a"] for row in told["errors"])
 

@@ -8,19 +8,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.recording.plan import write_plan
+from daq import InputError
+from daq.recording import write_plan
 from estimator.effects import classes
 from estimator.effects.encoder_scale import EncoderScale
-from experiments import cli
+from experiments.emulation import LegBody
 from experiments.emulation.hidden_effects import DRAG, REST_RAD, SPRING_NM
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model, save_model, values_of
-from experiments.models.schema import EffectValue
-from experiments.models.with_effects import effect_value, effects_of
+from experiments.excite import random_multisine
+from experiments.models import EffectValue, effect_value, effects_of, load_model, save_model, values_of
 from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import Shell
 
 SPRING = EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": SPRING_NM, "preload": SPRING_NM * REST_RAD})
 
@@ -79,10 +77,12 @@ def test_a_sensor_effect_changes_its_reading_and_nothing_else(value: EffectValue
 
 def test_noise_of_a_simulation_is_that_of_the_model(tmp_path: Path) -> None:
     noise = {"accel_mps2": 0.3, "accel_x_mps2": 0.05, "accel_y_mps2": 0.4, "accel_correlation": 0.8, "gyro_radps": 0.01}
-    plain, noisy = (run_of(msgspec.structs.replace(model_with(), noise=noise), tmp_path, *words)
-                    for words in ((), ("--noise-seed", "3")))
+    plain, noisy, again, other = (run_of(msgspec.structs.replace(model_with(), noise=noise), tmp_path, *words)
+                                  for words in ((), *(("--noise-seed", seed) for seed in "334")))
     left = np.array([noisy[c] - plain[c] for c in ("accel_x_mps2", "accel_y_mps2", "gyro_radps", "q2_rad")])
     assert left[:3].std(axis=1) == pytest.approx([0.05, 0.4, 0.01], rel=0.06) and not left[3].any()
+    np.testing.assert_array_equal(noisy["gyro_radps"], again["gyro_radps"])
+    assert not np.array_equal(noisy["gyro_radps"], other["gyro_radps"])
     assert np.corrcoef(left[:3])[0] == pytest.approx([1.0, 0.8, 0.0], abs=0.08)
 
 
@@ -97,15 +97,14 @@ def test_a_late_imu_shows_what_was(tmp_path: Path) -> None:
     (EffectValue(name="torque_offset", joint=None, sizes={"offset": 0.05}), True),
     (EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.002}), False),  # the motion is the nominal one
 ])
-def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path) -> None:
+def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path, shell: Shell) -> None:
     run_of(model_with(value), tmp_path, "--noise-seed", "3")
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
     save_model(model_with(), tmp_path / "plain.json")
     rmse = {}
     for name in ("m", "plain") if gains else ("m",):
-        assert cli.main(["validate", str(tmp_path / f"{name}.json"), str(tmp_path / "run.csv"), "--rig", str(rig),
-                         "--json", str(tmp_path / "v.json")]) == 0
+        shell("validate", tmp_path / f"{name}.json", tmp_path / "run.csv", "--rig", rig, "--json", tmp_path / "v.json")
         (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
         assert not run["diverged"] and run["horizon_s"] == pytest.approx(8.0, abs=0.1)
         rmse[name] = run["rmse"]
@@ -126,8 +125,7 @@ def test_reference_values_carry_what_is_not_determined() -> None:
     ({"sizes": {"stiffness": 1.0}}, "stiffness, preload"), ({"shapes": {"angle": 1.0}}, "shapes angle"),
     ({"sizes": {"stiffness": 1.0, "preload": "x"}}, "effects[0].sizes"), ({"size": 1}, "size"),
 ])
-def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str, tmp_path: Path,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str, tmp_path: Path, shell: Shell) -> None:
     document = json.loads(msgspec.json.encode(model_with(SPRING)))
     document["effects"][0] |= change
     path = tmp_path / "m.json"
@@ -136,8 +134,8 @@ def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str,
         load_model(path)
     assert says in str(caught.value) and str(path) in str(caught.value)
     write_plan(random_multisine(5, 6.0, 0.5), tmp_path / "p.csv")
-    assert cli.main(["simulate", str(path), "--plan", str(tmp_path / "p.csv"), "--out", str(tmp_path / "r.csv")]) == 2
-    error = capsys.readouterr().err
+    shell("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv", status=2)
+    error = shell.err
     assert says in error and error.count("\n") == 1 and not (tmp_path / "r.csv").exists()
 
 

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from daq import InputError, parse_rig
+from estimator import FitResult
 from estimator.fitting import next_measurement
 from estimator.model import leg2
-from estimator.result import Budget, BudgetPart, FitResult
-from experiments.judge import fit_trust, model_of, with_fit_trust
-from experiments.judge.trust import Trust
+from estimator.result import Budget, BudgetPart
+from experiments.judge import Trust, fit_trust, model_of, with_fit_trust
 from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
 from experiments.reports import fit_sections, fit_text
 from experiments.reports.html import render_page
-from experiments.rig.writer import RigFacts, rig_toml
+from experiments.rig import RigFacts
+from experiments.rig.writer import rig_toml
 from experiments.session.setup import stated_tolerances
 from tests.support.fits import document_of, synthetic_fit
 

@@ -8,23 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.plan import write_plan
-from daq.rig import load_rig
-from estimator.result import RunAgreement
+from daq import load_rig
+from daq.recording import write_plan
+from estimator import RunAgreement
 from experiments import cli
 from experiments.documents import DiagnosisDocument
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
-from experiments.judge.found_model import model_of
-from experiments.judge.numbers import estimates_of
+from experiments.emulation import LegBody
+from experiments.excite import random_multisine
+from experiments.judge import estimates_of, model_of
+from experiments.models import save_model
 from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import save_model
 from experiments.provenance import origin_of
-from experiments.reports.chart import Line
-from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
-from experiments.reports.figures import BLUE, picture_lines
-from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
-from experiments.reports.html import Section, Table, write_page
+from experiments.reports import (
+    BLUE,
+    Line,
+    Section,
+    Table,
+    diagnosis_sections,
+    fit_sections,
+    fit_summary,
+    picture_lines,
+    truth_section,
+    write_diagnosis,
+    write_page,
+)
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
 from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases

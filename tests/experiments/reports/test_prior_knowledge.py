@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import InputError
-from daq.rig import parse_rig
+from daq import InputError, parse_rig
 from experiments.cli.main import main
 from tests.support.mujoco_leg import Leg, record
 

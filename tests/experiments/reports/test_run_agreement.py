@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.result import FitResult, RunAgreement
-from experiments.judge.trust import fit_trust
-from experiments.reports.fit_page import fit_sections
+from estimator import FitResult, RunAgreement
+from experiments.judge import fit_trust
+from experiments.reports import fit_sections
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import render_page
 from tests.support.fits import document_of, synthetic_fit

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.runs.mcap_run import RunWriter
+from daq.runs import RunWriter
 from estimator import VERDICTS, Verdict
 from experiments.cli import main
+from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "{model}"\nactuated = [2]\n'
 DAY_NS = 86_400 * 10**9
@@ -115,9 +116,9 @@ def test_a_run_that_is_whole_is_not_faulty(tmp_path: Path) -> None:
     assert listed(tmp_path, "--faulty")[0]["ended"] == "file cut off"
 
 
-def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["runs", str(tmp_path / "nowhere")]) == 2
-    assert main(["runs", str(tmp_path), "--since", "yesterday"]) == 2
-    assert capsys.readouterr().err.count("\n") == 2
-    assert main(["runs", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "0 runs\n"
+def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
+    shell("runs", tmp_path / "nowhere", status=2)
+    shell("runs", tmp_path, "--since yesterday", status=2)
+    assert shell.err.count("\n") == 2
+    shell("runs", tmp_path)
+    assert shell.out == "0 runs\n"

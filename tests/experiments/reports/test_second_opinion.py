@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator import FitResult
 from estimator.methods import ResultMethod
-from estimator.result import FitResult, HeldOut, SecondOpinion
-from experiments.judge.trust import fit_trust
-from experiments.reports.fit_page import fit_sections
+from estimator.result import HeldOut, SecondOpinion
+from experiments.judge import fit_trust
+from experiments.reports import fit_sections
 from experiments.reports.fit_text import fit_text
 from experiments.reports.html import render_page
 from tests.support.fits import document_of, synthetic_fit

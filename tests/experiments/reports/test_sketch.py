@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.model import biped3, chain, joint1, leg2
-from experiments.reports.fit_page import fit_sections
+from experiments.reports import fit_sections
 from experiments.reports.sketch import draw_mechanism, joint_places, sketch_pictures
 from tests.support.fits import document_of, synthetic_fit
 

@@ -5,16 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import load_rig
+from daq import load_rig
 from drivers import drive_rate_hz, i2c_bus
+from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from drivers.mock.plant import StillPlant
-from drivers.mock.pty_server import PtyServer
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
-from experiments.cli import main
 from experiments.doctor import preflight
 from experiments.rig import discovery
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -38,11 +36,11 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
     return give
 
 
-def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     path = tmp_path / "rig.toml"
     asked = answers("", "", "9.8101", "wide", "0.17", "", "50", "legid", "/dev/ttyUSB3", "0.85", "1000", "-1", "1.5",
                     "12", "", "2.2")
-    assert main(["init", str(path)]) == 0
+    shell("init", path)
     rig = load_rig(path)
     assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
     assert rig.mechanism.gravity_mps2 == 9.8101
@@ -50,11 +48,10 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: py
     assert rig.devices.imu is not None and rig.devices.imu.bus == "/dev/i2c-1"
     assert rig.motor.gear_ratio == 50.0
     assert rig.calibration.torque_constant_nm_per_a == 0.85
-    assert rig.devices.controller is not None
     assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == ("/dev/ttyUSB3", 1000.0)
     limits = rig.limits
     assert (limits.torque_nm, limits.speed_radps, limits.q1_rad, limits.q2_rad) == (1.5, 12.0, 1.6, 2.2)
-    out = capsys.readouterr().out
+    out = shell.out
     assert "wide is not a number" in out and "-1 is not a number" in out
     assert "[0.2]" in asked[3] and asked[3] == asked[4]
     text = path.read_text()
@@ -64,36 +61,33 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: py
 
 
 def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Callable[..., list[str]],
-                                                   capsys: pytest.CaptureFixture[str]) -> None:
+                                                   shell: Shell) -> None:
     path = tmp_path / "rig.toml"
     asked = answers("", "", "", "0.17", "none", "50", "none")
-    assert main(["init", str(path)]) == 0
+    shell("init", path)
     rig, text = load_rig(path), path.read_text()
     assert len(asked) == 7 and rig.devices.controller is None and rig.devices.imu is None
     assert rig.imus[0].lever_arm_m == 0.17 and rig.motor.gear_ratio == 50.0
     assert "ASSUMED, please" not in text and "[limits]\n" not in text and "doctor" not in text
-    assert "rig.toml: written. Next: legid import FILE..., then legid fit" in capsys.readouterr().out
+    assert "rig.toml: written. Next: legid import FILE..., then legid fit" in shell.out
 
 
-def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
+def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     path = tmp_path / "chain.toml"
     answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "", "")
-    assert main(["init", str(path)]) == 0
+    shell("init", path)
     rig = load_rig(path)
     assert (rig.mechanism.model, rig.mechanism.links, rig.mechanism.actuated) == ("chain", 3, (2, 3))
     assert rig.devices.imu is None
-    assert rig.devices.controller is not None
     assert rig.devices.controller.can == {"interface": "socketcan", "channel": "can0"}
     assert rig.devices.controller.node == 5
 
 
-def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]],
-                           capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     path = tmp_path / "rig.toml"
     answers("", "", "", "0.2", "", "6", "motor", "moteus", "moteus", "/dev/fdcanusb", "3", "0.5", "", "2", "", "", "")
-    assert main(["init", str(path)]) == 0
-    controller, text, out = load_rig(path).devices.controller, path.read_text(), capsys.readouterr().out
-    assert controller is not None
+    shell("init", path)
+    controller, text, out = load_rig(path).devices.controller, path.read_text(), shell.out
     assert (controller.kind, controller.port, controller.node) == ("moteus", "/dev/fdcanusb", 3)
     assert controller.rate_hz == drive_rate_hz("moteus")
     assert "motor is none of" in out and "moteus is no place: give a serial port" in out
@@ -102,42 +96,40 @@ def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]],
     assert not {"torque_nm", "gear_ratio", "torque_constant_nm_per_a", "lever_arm_m"} & marked
 
 
-def test_a_single_joint_has_no_second_limit(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
+def test_a_single_joint_has_no_second_limit(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     asked = answers("joint1", "", "", "9", "odrive", "can0", "1", "0.4", "", "", "", "")
-    assert main(["init", str(tmp_path / "rig.toml")]) == 0
+    shell("init", tmp_path / "rig.toml")
     assert not any("second joint" in question for question in asked)
     assert load_rig(tmp_path / "rig.toml").motor.gear_ratio == 9.0
 
 
-def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[str]],
-                                   capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("mine")
     asked = answers()
     for how in ([], ["--defaults"], ["--probe"]):
-        assert main(["init", str(path), *how]) == 2
-    assert capsys.readouterr().err.count("exists already") == 3
+        shell("init", path, *how, status=2)
+    assert shell.err.count("exists already") == 3
     assert path.read_text() == "mine"
     assert not asked  # refused before anybody answers anything
 
 
-def test_answers_that_end_early_or_do_not_fit(tmp_path: Path, answers: Callable[..., list[str]],
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_answers_that_end_early_or_do_not_fit(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
     path = tmp_path / "rig.toml"
     answers("leg2", "2")
-    assert main(["init", str(path)]) == 2
-    assert "end before the questions" in capsys.readouterr().err
+    shell("init", path, status=2)
+    assert "end before the questions" in shell.err
     answers("", "7", *[""] * 13)  # leg2 has no joint 7
-    assert main(["init", str(path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert main(["init", str(path), "--port", "/dev/x"]) == 2
-    assert main(["init", str(tmp_path / "no" / "rig.toml"), "--defaults"]) == 2
+    shell("init", path, status=2)
+    assert shell.err.count("\n") == 1
+    shell("init", path, "--port /dev/x", status=2)
+    shell("init", tmp_path / "no" / "rig.toml", "--defaults", status=2)
     assert not path.exists()
 
 
-def test_defaults_are_a_rig(tmp_path: Path) -> None:
+def test_defaults_are_a_rig(tmp_path: Path, shell: Shell) -> None:
     path = tmp_path / "rig.toml"
-    assert main(["init", str(path), "--defaults"]) == 0
+    shell("init", path, "--defaults")
     rig = load_rig(path)
     assert rig.devices.imu is not None and rig.devices.controller is not None
     assert "lever_arm_m = 0.2" in path.read_text() and path.read_text().count("ASSUMED, please measure") >= 9
@@ -152,8 +144,7 @@ def mock() -> Iterator[tuple[MockRig, str]]:
         yield rig, server.path
 
 
-def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                    capsys: pytest.CaptureFixture[str]) -> None:
+def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     rig_mock, port = mock
     monkeypatch.setattr(discovery, "i2c_buses", lambda: ["/dev/i2c-nowhere", "/dev/i2c-7"])
     monkeypatch.setattr(discovery, "serial_ports", lambda: ["/dev/ttyNowhere", port])
@@ -163,27 +154,25 @@ def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pyte
         monkeypatch.setattr(f"experiments.{module}.open_bus",
                             lambda path: rig_mock.imu if path == "/dev/i2c-7" else real(path))
     path = tmp_path / "rig.toml"
-    assert main(["init", str(path), "--probe"]) == 0
-    out = capsys.readouterr().out
+    shell("init", path, "--probe")
+    out = shell.out
     assert "no such bus" in out and "no such port" in out and "LSM9DS1 at 0x6A" in out
     rig = load_rig(path)
-    assert rig.devices.imu is not None and rig.devices.controller is not None
     assert (rig.devices.imu.bus, rig.devices.imu.address) == ("/dev/i2c-7", 0x6A)
     assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == (port, 250.0)
     assert (rig.motor.gear_ratio, rig.limits.torque_nm) == (36.0, 1.25)
     assert rig_mock.firmware.drive.torque_nm == 0.0
     monkeypatch.setattr(preflight, "LISTEN_S", 0.5)
     path.write_text(path.read_text().replace("rate_hz = 238.0", "rate_hz = 59.5 ").replace("0.005 ", "5.0 "))
-    assert main(["doctor", "--rig", str(path), "--out", str(tmp_path)]) == 0, capsys.readouterr().out
+    shell("doctor --rig", path, "--out", tmp_path)
 
 
-def test_probing_where_there_is_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                        capsys: pytest.CaptureFixture[str]) -> None:
+def test_probing_where_there_is_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     monkeypatch.setattr(discovery, "DEV", tmp_path)
     monkeypatch.setattr(discovery, "NET", tmp_path)
     path = tmp_path / "rig.toml"
-    assert main(["init", str(path), "--probe"]) == 0
-    out = capsys.readouterr().out
+    shell("init", path, "--probe")
+    out = shell.out
     assert "no I2C bus" in out and "no leg controller" in out
     rig = load_rig(path)
     assert rig.devices.imu is None and rig.devices.controller is None

@@ -2,6 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,15 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+import legid
 from daq import load_rig
-from daq.recording.plan import Plan, write_plan
-from daq.runs.csv_run import read_csv
+from daq.recording import Plan
 from experiments.cli import main
-from experiments.models.effect_library import known_effects
-from experiments.models.model_file import load_model, save_model
-from experiments.models.schema import EffectValue
+from experiments.models import EffectValue, known_effects, load_model, save_model
+from tests.support.exported_models import EFFECTS
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.shell import Shell
 
 RATE_HZ = 500.0
 SECONDS = 4.0
@@ -32,6 +33,10 @@ def export(folder: Path, kind: str, model: Path) -> Path:
     out = folder / f"model.{kind}"
     assert main(["export", str(model), "--to", kind, "--out", str(out)]) == 0
     return out
+
+
+def load(folder: Path, kind: str, model: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(export(folder, kind, model)))
 
 
 def drive(loaded: mujoco.MjModel, torque: np.ndarray, joint: int, q0: list[float], by_ctrl: bool
@@ -56,42 +61,46 @@ def drive(loaded: mujoco.MjModel, torque: np.ndarray, joint: int, q0: list[float
     return np.array(angles), np.array(readings)
 
 
-def simulate(folder: Path, model: Path, start: list[float], peak: float = 1.0, seconds: float = SECONDS
-             ) -> dict[str, np.ndarray]:
+def simulate(model: Path, start: list[float], peak: float = 1.0, seconds: float = SECONDS
+             ) -> Mapping[str, np.ndarray]:
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
-    write_plan(Plan(t, peak * (np.sin(5 * t) + 0.5 * np.sin(11 * t + 1))), folder / "plan.csv")
-    (folder / "sim.csv").unlink(missing_ok=True)  # a run is never overwritten
-    assert main(["simulate", str(model), "--plan", str(folder / "plan.csv"), "--out", str(folder / "sim.csv"),
-                 "--start", ",".join(map(str, start)), "--rate", str(RATE_HZ)]) == 0
-    return {name: np.asarray(values) for name, values in read_csv(folder / "sim.csv").columns.items()}
+    plan = Plan(t, peak * (np.sin(5 * t) + 0.5 * np.sin(11 * t + 1)))
+    return legid.simulate(model, plan, rate_hz=RATE_HZ, start=start).columns
+
+
+def followed(folder: Path, model: Path, start: list[float], peak: float = 1.0, seconds: float = SECONDS,
+             atol: float = 1e-6, torque: str = "tau2_cmd_nm", imu: bool = False) -> np.ndarray:
+    """Angles of the exported model under the simulation's torque, which are the simulation's, as is what its IMU reads.
+
+    IMU units are about a hundred times those of the angles in a motion this fast.
+    """
+    loaded = load(folder, "mjcf", model)
+    own = simulate(model, start, peak, seconds)
+    angles, readings = drive(loaded, own[torque], 0, start, by_ctrl=True)
+    true = np.column_stack([own[name] for name in ("q1_rad", "q1_m", "q2_rad") if name in own])
+    np.testing.assert_allclose(angles, true, rtol=0, atol=atol)
+    if imu:
+        true = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
+        np.testing.assert_allclose(readings, true, rtol=0, atol=1e-4)
+    return angles
 
 
 @pytest.mark.parametrize(("viscous", "peak"), [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_mjcf_moves_as_the_simulation_does(seed: int, viscous: float, peak: float, tmp_path: Path) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), viscous), LEG)
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
-    own = simulate(tmp_path, model, [0.4, -0.3], peak)
-    angles, readings = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=True)
-    assert np.ptp(angles, axis=0).min() > 0.5  # it does move
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
-    imu = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
-    # IMU units are about a hundred times those of the angles in a motion this fast
-    np.testing.assert_allclose(readings, imu, rtol=0, atol=1e-4)
+    assert np.ptp(followed(tmp_path, model, [0.4, -0.3], peak, imu=True), axis=0).min() > 0.5  # it does move
 
 
-HELD: dict[str, tuple[dict[str, float], int | None]] = {
-    "joint_stiffness": ({"stiffness": 0.4, "preload": 0.1}, 1), "quadratic_drag": ({"drag": 0.004}, 2),
-    "rotor_inertia": ({"inertia": 0.004}, 2), "torque_offset": ({"offset": 0.05}, None),
-    "imu_lever_arm": ({"excess": 0.01}, None), "imu_misalignment": ({"angle": 0.05}, None)}
+HELD = ("joint_stiffness", "quadratic_drag", "rotor_inertia", "torque_offset", "imu_lever_arm", "imu_misalignment")
 
 
-def extend(path: Path, name: str, sizes: dict[str, float], joint: int | None) -> Path:
+def extend(path: Path, name: str, sizes: Mapping[str, float], joint: int | None) -> Path:
     """The model in the file with one effect more."""
     model = load_model(path)
     k = len(model.parameters) + len(sizes)
     joint = joint if known_effects()[name].per_joint else None
-    save_model(structs.replace(model, effects=(EffectValue(name=name, joint=joint, sizes=sizes),),
+    save_model(structs.replace(model, effects=(EffectValue(name=name, joint=joint, sizes=dict(sizes)),),
                                reach=((-2.0, 2.0), (-2.0, 2.0)), covariance=((0.0,) * k,) * k), path)
     return path
 
@@ -100,25 +109,16 @@ def extend(path: Path, name: str, sizes: dict[str, float], joint: int | None) ->
 def test_mjcf_holds_effects(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Five seconds under the torque as it was measured: angles, and the IMU's readings."""
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(1))), LEG)
-    extend(model, name, *HELD[name])
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    extend(model, name, EFFECTS[name].sizes, EFFECTS[name].joint)
+    followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-7, "tau2_nm", imu=True)
     assert "left out" not in capsys.readouterr().err
-    own = simulate(tmp_path, model, [0.4, -0.3], 0.4, 5.0)
-    angles, readings = drive(loaded, own["tau2_nm"], 1, [0.4, -0.3], by_ctrl=True)
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-7)
-    imu = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
-    np.testing.assert_allclose(readings, imu, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_mjcf_rubs_as_the_simulation_does(seed: int, tmp_path: Path) -> None:
     """Dry friction: within a milliradian over five seconds, of motion over more than half a radian."""
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), coulomb=1.0), LEG)
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
-    own = simulate(tmp_path, model, [0.4, -0.3], 0.4, 5.0)
-    angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=True)
-    assert np.ptp(angles, axis=0).min() > 0.5
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-3)
+    assert np.ptp(followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-3), axis=0).min() > 0.5
 
 
 def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -136,7 +136,7 @@ def test_other_bodies_move_alike(seed: int, tmp_path: Path) -> None:
     """The leg's own bodies against those of the export, knee spinning without friction: here every error grows."""
     leg = replace(random_leg(np.random.default_rng(seed)), viscous=(0.0, 0.0))
     model = write_model(tmp_path / "m.json", leg_beta(leg), LEG)
-    exported, own = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model))), leg.model(5e-4)
+    exported, own = load(tmp_path, "mjcf", model), leg.model(5e-4)
     assert abs(exported.body_mass[1] / own.body_mass[1] - 1) > 0.05  # they are not the same bodies
     t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
     torque = np.sin(5 * t) + 0.5 * np.sin(11 * t + 1)
@@ -148,9 +148,9 @@ def test_other_bodies_move_alike(seed: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", [3, 4])
 def test_urdf_moves_alike(seed: int, tmp_path: Path) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed))), LEG)
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "urdf", model)))
+    loaded = load(tmp_path, "urdf", model)
     loaded.opt.integrator, loaded.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
-    own = simulate(tmp_path, model, [0.4, -0.3])
+    own = simulate(model, [0.4, -0.3])
     angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=False)
     np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
 
@@ -159,7 +159,7 @@ def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
     leg = random_leg(np.random.default_rng(5))
     beta = leg.beta()
     model = write_model(tmp_path / "m.json", list(beta), LEG)
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    loaded = load(tmp_path, "mjcf", model)
     (m1, m2), (i1, i2) = loaded.body_mass[1:], loaded.body_inertia[1:, 1]
     (c1, c2), l1 = -loaded.body_ipos[1:, 2], -loaded.body_pos[2, 2]
     assert min(m1, m2, i1, i2) > 0
@@ -173,10 +173,7 @@ def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
 def test_rotor_and_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     beta = [*leg_beta(Leg()), 0.01, 0.15]
     model = write_model(tmp_path / "m.json", beta, {**LEG, "rotor_inertia": (2,), "torque_offset": (2,)})
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
-    own = simulate(tmp_path, model, [0.0, 0.0])
-    angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.0, 0.0], by_ctrl=True)
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+    followed(tmp_path, model, [0.0, 0.0])
     capsys.readouterr()
     export(tmp_path, "urdf", model)
     notes = capsys.readouterr().err
@@ -185,26 +182,20 @@ def test_rotor_and_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 def test_one_joint_and_a_chain(tmp_path: Path) -> None:
     one = write_model(tmp_path / "one.json", [0.02, 0.1, 0.03, 0.0], {"model": "joint1", "actuated": (1,)})
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", one)))
-    own = simulate(tmp_path, one, [0.5], 0.4)
-    angles, _ = drive(loaded, own["tau2_cmd_nm"], 0, [0.5], by_ctrl=True)
-    np.testing.assert_allclose(angles[:, 0], own["q1_rad"], rtol=0, atol=1e-6)
+    followed(tmp_path, one, [0.5], 0.4)
     slide = write_model(tmp_path / "slide.json", [2.0, 0.5, 0.0],
                         {"model": "joint1", "actuated": (1,), "gravity_mps2": 0.0, "prismatic": True})
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", slide)))
-    own = simulate(tmp_path, slide, [0.0], 1.0)
-    angles, _ = drive(loaded, own["tau2_cmd_nm"], 0, [0.0], by_ctrl=True)
-    np.testing.assert_allclose(angles[:, 0], own["q1_m"], rtol=0, atol=1e-6)
-    assert mujoco.MjModel.from_xml_path(str(export(tmp_path, "urdf", slide))).nq == 1
+    followed(tmp_path, slide, [0.0])
+    assert load(tmp_path, "urdf", slide).nq == 1
     chain = write_model(tmp_path / "chain.json", leg_beta(Leg()), {"model": "chain", "actuated": (2,), "links": 2})
-    assert mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", chain))).nq == 2
+    assert load(tmp_path, "mjcf", chain).nq == 2
 
 
 def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     beta = leg_beta(Leg(), coulomb=1.0)
     beta[5] = -0.003
     model = write_model(tmp_path / "m.json", beta, LEG)
-    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    loaded = load(tmp_path, "mjcf", model)
     assert loaded.dof_damping[0] == 0.0
     notes = capsys.readouterr().err
     assert "viscous friction of pivot is -0.003" in notes and "frictionloss" in notes
@@ -212,45 +203,42 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.parametrize(("changes", "words"), [
     ({2: 1.0}, "not positive definite"), ({4: -0.1}, "no length"), ({4: 0.0}, "no length")])
-def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path,
-                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg())
     for k, value in changes.items():
         beta[k] = value
     model = write_model(tmp_path / "m.json", beta, LEG)
-    assert main(["export", str(model), "--to", "mjcf", "--out", str(tmp_path / "x.xml")]) == 2
-    error = capsys.readouterr().err
+    shell("export", model, "--to mjcf --out", tmp_path / "x.xml", status=2)
+    error = shell.err
     assert words in error and error.count("\n") == 1
     assert not (tmp_path / "x.xml").exists()
 
 
-def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, shell: Shell) -> None:
     biped = write_model(tmp_path / "b.json", [1.0] * 8, {"model": "biped3", "actuated": (2, 3)})
     servo = write_model(tmp_path / "v.json", [1.0] * 4, {"model": "joint1", "actuated": (1,), "input": "voltage"})
     leg = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     for model, more in ((biped, []), (servo, []), (leg, ["--rate", "100"])):
-        assert main(["export", str(model), "--to", "urdf", "--out", str(tmp_path / "x.urdf"), *more]) == 2
-    errors = capsys.readouterr().err.splitlines()
+        shell("export", model, "--to urdf --out", tmp_path / "x.urdf", *more, status=2)
+    errors = shell.err.splitlines()
     assert len(errors) == 3
     assert "one or two links" in errors[0] and "volt" in errors[1] and "--rate" in errors[2]
     assert json.loads(biped.read_text())["schema"] == "legid.model/1"
 
 
-def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]
-                                                              ) -> None:
+def test_urdf_has_the_limits_of_a_rig_and_a_safety_controller(tmp_path: Path, shell: Shell) -> None:
     """The speed bound falls as the joint can decelerate; at rest all torque is there."""
     model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     limits = load_rig(tmp_path / "rig.toml").limits
     out = tmp_path / "leg.urdf"
     command = ["export", str(model), "--to", "urdf", "--out", str(out)]
-    assert main(command) == 0 and "no joint has a limit" in capsys.readouterr().err
-    assert main([*command, "--force", "--rig", str(tmp_path / "rig.toml")]) == 0
-    assert "no joint has a limit" not in capsys.readouterr().err
+    assert main(command) == 0 and "no joint has a limit" in shell.err
+    shell(*command, "--force --rig", tmp_path / "rig.toml")
+    assert "no joint has a limit" not in shell.err
     passive, driven = ET.parse(out).getroot().findall("joint")
     assert passive.get("type") == driven.get("type") == "revolute" and passive.find("safety_controller") is None
     bound, keeper = driven.find("limit"), driven.find("safety_controller")
-    assert bound is not None and keeper is not None
     assert (float(bound.get("effort", 0)), float(bound.get("upper", 0))) == (limits.torque_nm, limits.q2_rad)
     speed, k_position = float(bound.get("velocity", 0)), float(keeper.get("k_position", 0))
     assert speed == limits.speed_radps and k_position * speed == pytest.approx(limits.stop_radps2)

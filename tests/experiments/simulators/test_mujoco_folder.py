@@ -13,11 +13,9 @@ import pytest
 from msgspec import structs
 
 from daq import InputError
-from experiments.cli import main
-from experiments.models import load_model, save_model
-from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
-from experiments.simulators import ExportedLeg, simulator_files
-from experiments.simulators.mujoco_runs import require_mujoco
+from experiments.models import TorqueTable, load_model, save_model
+from experiments.models.schema import JointTorque, StructureValues, TableInput
+from experiments.simulators import ExportedLeg, require_mujoco, simulator_files
 from experiments.simulators.parts import ADDED, HELD, LEFT, OF_LOOP, parts_of
 from tests.support.exported_models import (
     EFFECTS,
@@ -30,6 +28,7 @@ from tests.support.exported_models import (
     simulated,
 )
 from tests.support.paths import REAL
+from tests.support.shell import Shell
 
 WITHIN_RAD = 1e-3
 
@@ -130,15 +129,15 @@ def test_noise_is_seeded_and_has_the_model_s_levels(tmp_path: Path) -> None:
     assert np.corrcoef(read.T)[1, 2] == pytest.approx(0.8, abs=0.03)
 
 
-def test_the_folder_runs_without_legid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_folder_runs_without_legid(tmp_path: Path, shell: Shell) -> None:
     """`python -I` in another folder, where legid's packages cannot be imported."""
     model = model_of(tmp_path, 1, ("stribeck_friction", "torque_saturation", "gyro_bias"))
     save_model(model, tmp_path / "m.json")
     run = simulated(model)
     rows = np.column_stack([run.time_s, *run.columns.values()])
     np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=",".join(["time_s", *run.columns]), comments="")
-    assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "sim")]) == 0
-    assert "leg.py applies gyro_bias, stribeck_friction, torque_saturation" in capsys.readouterr().err
+    shell("export", tmp_path / "m.json", "--to mujoco --out", tmp_path / "sim")
+    assert "leg.py applies gyro_bias, stribeck_friction, torque_saturation" in shell.err
     hide = ("import sys, runpy; sys.modules.update(dict.fromkeys(('legid', 'estimator', 'experiments', 'daq', "
             "'drivers'))); sys.argv = ['leg.py', sys.argv[1]]; runpy.run_path({!r}, run_name='__main__')")
     done = subprocess.run([sys.executable, "-I", "-c", hide.format(str(tmp_path / "sim" / "leg.py")),
@@ -152,51 +151,51 @@ def test_the_folder_runs_without_legid(tmp_path: Path, capsys: pytest.CaptureFix
     assert lost.returncode == 1 and lost.stderr.count("\n") == 1 and "is no table" in lost.stderr
 
 
-def test_the_same_folder_may_be_written_again(tmp_path: Path) -> None:
+def test_the_same_folder_may_be_written_again(tmp_path: Path, shell: Shell) -> None:
     save_model(model_of(tmp_path, 1, ()), tmp_path / "m.json")
     for _ in range(2):
-        assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "sim")]) == 0
+        shell("export", tmp_path / "m.json", "--to mujoco --out", tmp_path / "sim")
     mujoco.MjModel.from_xml_path(str(tmp_path / "sim" / "leg.xml"))
 
 
-def test_what_no_export_can_hold_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_export_can_hold_is_refused_by_name(tmp_path: Path, shell: Shell) -> None:
     cases = {"presliding_friction": ({"presliding_friction": EFFECTS["presliding_friction"]._replace(
         sizes={"level": 0.3, "bristle_damping": 0.0})}, "more than the Coulomb friction"),
         "base_compliance": ({"base_compliance": EFFECTS["base_compliance"]._replace(sizes={"mobility": 2.0})},
                             "the leg alone has")}
     for name, (changed, words) in cases.items():
         save_model(model_of(tmp_path, 1, (name,), changed), tmp_path / "m.json")
-        assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "x")]) == 2
-        error = capsys.readouterr().err
+        shell("export", tmp_path / "m.json", "--to mujoco --out", tmp_path / "x", status=2)
+        error = shell.err
         assert name in error and words in error and "take it out of `effects`" in error and error.count("\n") == 1
     assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (REAL / "dfki_c0").is_dir(), reason="no real records next to the checkout")
-def test_a_real_arm_errs_alike_in_mujoco(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_real_arm_errs_alike_in_mujoco(tmp_path: Path, shell: Shell) -> None:
     """Free runs of the exported model err as legid's own do, within 2 %; leg.xml keeps the first states by run."""
     folder, model = REAL / "dfki_c0", str(tmp_path / "m.json")
     rig, held = ["--rig", str(folder / "rig.toml")], str(folder / "02.csv.gz")
-    assert main(["fit", *(str(folder / f"{k}.csv.gz") for k in ("00", "01", "04")), *rig, "--model-out", model]) == 0
-    capsys.readouterr()
+    shell("fit", *(str(folder / f"{k}.csv.gz") for k in ("00", "01", "04")), *rig, "--model-out", model)
+    shell.read()
     errors = {}
     for simulator in ("legid", "mujoco"):
         out = tmp_path / f"{simulator}.json"
-        assert main(["validate", model, held, *rig, "--simulator", simulator, "--json", str(out)]) == 0
+        shell("validate", model, held, *rig, "--simulator", simulator, "--json", out)
         segments = [one["summed_squared_error"] for one in json.loads(out.read_text())["runs"]]
         errors[simulator] = {name: np.sqrt(sum(one[name] for one in segments)) for name in segments[0]}
     assert errors["mujoco"] == pytest.approx(errors["legid"], rel=0.02)
-    assert "MuJoCo's free runs against legid's own" in capsys.readouterr().out
-    assert main(["export", model, "--to", "mujoco", "--out", str(tmp_path / "sim"), "--starts", held, *rig]) == 0
+    assert "MuJoCo's free runs against legid's own" in shell.out
+    shell("export", model, "--to mujoco --out", tmp_path / "sim", "--starts", held, *rig)
     loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "sim" / "leg.xml"))
     assert loaded.key("02").qpos.shape == (2,) and np.abs(loaded.key("02").qvel).max() > 0.0
     with_run = structs.replace(load_model(model), noise={})
     assert len(START) == ExportedLeg(with_run, "m").leg.model.nq
 
 
-def test_options_that_belong_elsewhere_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_that_belong_elsewhere_are_refused(tmp_path: Path, shell: Shell) -> None:
     save_model(model_of(tmp_path, 1, ()), tmp_path / "m.json")
     for words in (["mjcf", "--starts", "run.csv"], ["mujoco", "--rate", "100"], ["mujoco", "--rig", "rig.toml"]):
-        assert main(["export", str(tmp_path / "m.json"), "--out", str(tmp_path / "x"), "--to", *words]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 3
+        shell("export", tmp_path / "m.json", "--out", tmp_path / "x", "--to", *words, status=2)
+    assert len(shell.err.splitlines()) == 3

@@ -15,6 +15,7 @@ from experiments.cli import main
 from experiments.models import save_model
 from experiments.simulators import draw_models
 from tests.support.exported_models import model_of
+from tests.support.shell import Shell
 
 
 def uncertain(folder: Path, share: float = 0.02) -> tuple[object, np.ndarray]:
@@ -52,12 +53,12 @@ def test_no_draw_is_a_leg_that_cannot_be(tmp_path: Path) -> None:
     assert samples.values[:, 5:9].min() >= 0.0 and samples.values[:, 11].min() >= 0.0
 
 
-def test_samples_are_written_and_run_as_a_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_samples_are_written_and_run_as_a_batch(tmp_path: Path, shell: Shell) -> None:
     model, _ = uncertain(tmp_path)
     save_model(model, tmp_path / "m.json")  # type: ignore[arg-type]
     words = ["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "sim"), "--samples", "8"]
-    assert main([*words, "--seed", "4"]) == 0
-    assert "kept at the model's value: beta6" in capsys.readouterr().err
+    shell(*words, "--seed 4")
+    assert "kept at the model's value: beta6" in shell.err
     first = (tmp_path / "sim" / "samples.csv").read_text()
     assert main([*words, "--seed", "4"]) == 0 and (tmp_path / "sim" / "samples.csv").read_text() == first
     rows = list(csv.DictReader(first.splitlines()))
@@ -71,8 +72,8 @@ def test_samples_are_written_and_run_as_a_batch(tmp_path: Path, capsys: pytest.C
     assert done.stdout.startswith("8 models") and "standard deviation 0 rad" not in done.stdout
 
 
-def test_a_model_without_a_covariance_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_without_a_covariance_is_refused(tmp_path: Path, shell: Shell) -> None:
     save_model(model_of(tmp_path, 1, ()), tmp_path / "m.json")
     words = ["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "s"), "--samples", "2"]
-    assert main(words) == 2
-    assert "states no covariance" in capsys.readouterr().err
+    shell(*words, status=2)
+    assert "states no covariance" in shell.err

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from experiments import cli
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.pages import allowed_script
+from tests.support.shell import Shell
 
 
 @pytest.fixture(scope="module")
@@ -72,16 +73,16 @@ def test_report_tells_what_was_hidden(demo: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, shell: Shell) -> None:
     model, page = tmp_path / "m.json", tmp_path / "v.html"
     args = ["fit", str(demo / "demo-run1.mcap"), "--rig", str(demo / "rig.toml"), "--model-out", str(model),
             "--json", str(tmp_path / "f.json"), "--html", str(tmp_path / "f.html"), "--fix", "beta9=0.04"]
-    assert cli.main(args) == 0, capsys.readouterr().err
-    assert "given" in capsys.readouterr().out
+    shell(*args)
+    assert "given" in shell.out
     rows = {p["name"]: p for p in json.loads((tmp_path / "f.json").read_text())["parameters"]}
     assert rows["beta9"]["value"] == 0.04 and rows["beta9"]["fixed"]
-    assert cli.main(["validate", str(model), str(demo / "demo-run3.mcap"), "--rig", str(demo / "rig.toml"),
-                     "--json", str(tmp_path / "v.json"), "--html", str(page)]) == 0
+    shell("validate", model, demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--json", tmp_path / "v.json",
+          "--html", page)
     assert json.loads((tmp_path / "v.json").read_text())["schema"] == "legid.validation/1"
     assert "demo-run3.mcap" in page.read_text()
 

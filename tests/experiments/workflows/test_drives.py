@@ -12,11 +12,11 @@ import pytest
 
 from daq import InputError, WorkError, parse_rig
 from daq.recording import write_plan
-from experiments.cli import main
 from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
+from tests.support.shell import Shell
 
 KINDS = ("moteus", "odrive", "dynamixel")
 
@@ -26,57 +26,54 @@ def rig_text(kind: str) -> str:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp_path: Path,
-                                                                  capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp_path: Path, shell: Shell) -> None:
     rig, plan, run = tmp_path / "rig.toml", tmp_path / "plan.csv", tmp_path / "run.mcap"
     rig.write_text(rig_text(kind))
     write_plan(random_multisine(7, 6.0, 0.6), plan)
-    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(run), "--emulate"]) == 0
-    assert main(["info", str(run)]) == 0
-    said = capsys.readouterr().out
+    shell("record --rig", rig, "--plan", plan, "--out", run, "--emulate")
+    shell("info", run)
+    said = shell.out
     assert "samples lie between request and answer" in said and "jitters by" in said
     data = load_any_run(run, parse_rig(rig.read_text()))
     assert data.clock_bound_s is not None and 2e-4 < data.clock_bound_s < 2e-3
-    assert main(["fit", str(run), "--rig", str(rig), "--json", str(tmp_path / "fit.json")]) == 0
+    shell("fit", run, "--rig", rig, "--json", tmp_path / "fit.json")
     found = json.loads((tmp_path / "fit.json").read_text())
     value = np.array([p["value"] for p in found["parameters"]])
     assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.01
     again = tmp_path / "again.mcap"
-    assert main(["record", "--replay", str(run), "--out", str(again)]) == 0
-    assert "by the limits" not in capsys.readouterr().out
+    shell("record --replay", run, "--out", again)
+    assert "by the limits" not in shell.out
     played = load_any_run(again, parse_rig(rig.read_text()))
     assert np.nanmax(np.abs(played["q2_rad"] - data["q2_rad"])) < 1e-6  # played back in our own frames, in urad
     assert played.clock_bound_s == data.clock_bound_s
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_check_that_it_cannot_make_is_to_be_given_up_by_name(kind: str, tmp_path: Path,
-                                                               capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_that_it_cannot_make_is_to_be_given_up_by_name(kind: str, tmp_path: Path, shell: Shell) -> None:
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
     rig.write_text("\n".join(line for line in rig_text(kind).splitlines() if not line.startswith("unchecked")))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
-    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap"), "--emulate"]) == 2
-    assert 'unchecked = ["encoder_s"]' in capsys.readouterr().err
+    shell("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=2)
+    assert 'unchecked = ["encoder_s"]' in shell.err
 
 
-def test_a_drive_that_is_only_read_records_no_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_that_is_only_read_records_no_plan(tmp_path: Path, shell: Shell) -> None:
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
     rig.write_text(rig_text("feetech"))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
-    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap"), "--emulate"]) == 1
-    assert "has no watchdog, so a lost host would leave the torque on" in capsys.readouterr().err
+    shell("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=1)
+    assert "has no watchdog, so a lost host would leave the torque on" in shell.err
 
 
-def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path: Path,
-                                                                        capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path: Path, shell: Shell) -> None:
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
     rig.write_text(rig_text("moteus").replace("/dev/ttyACM0", str(tmp_path / "no-port")))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
     record = ["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap")]
-    assert main(record) == 2
-    assert "--estop-at-hand" in capsys.readouterr().err
-    assert main([*record, "--estop-at-hand"]) == 1
-    assert "no such port" in capsys.readouterr().err
+    shell(*record, status=2)
+    assert "--estop-at-hand" in shell.err
+    shell(*record, "--estop-at-hand", status=1)
+    assert "no such port" in shell.err
 
 
 def test_the_question_is_answered_by_yes_alone() -> None:
@@ -97,7 +94,7 @@ def test_an_unknown_drive_is_refused_in_a_line() -> None:
 
 @pytest.mark.parametrize("kind", [pytest.param(kind, marks=pytest.mark.slow if kind == "moteus" else pytest.mark.study)
                                   for kind in KINDS])
-def test_the_hidden_spring_is_named(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--drive", kind, "--out", str(tmp_path)]) == 0
+def test_the_hidden_spring_is_named(kind: str, tmp_path: Path, shell: Shell) -> None:
+    shell("demo --drive", kind, "--out", tmp_path)
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     assert found["verdict"] == "named" and [c["effect"] for c in found["causes"]] == ["joint_stiffness"]

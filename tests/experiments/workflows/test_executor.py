@@ -13,15 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import InputError, WorkError
+from daq import InputError, WorkError
 from evidence.blind.stickslip import MAKERS
-from experiments.cli import main
-from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
+from experiments.workflows import choose_executor
+from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor
+from studies.biped3 import CASES, FLOOR, blocks
 from studies.biped3.store import load_block
-from studies.biped3.study import CASES, FLOOR, blocks, run_block
+from studies.biped3.study import run_block
 from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 
 pytestmark = REAL_CLOCK
 
@@ -123,7 +125,7 @@ def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[
 
 @pytest.mark.slow
 def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[subprocess.Popen]],
-                                                       tmp_path: Path) -> None:
+                                                       tmp_path: Path, shell: Shell) -> None:
     """Through the command; the killed worker's blocks are done by the other, with the numbers of a run without both."""
     address, processes = cluster
     work = blocks(CASES[1:2], ["mle", FLOOR], 250, 6)
@@ -136,8 +138,8 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
 
     killer = threading.Thread(target=kill_half_way)
     killer.start()
-    assert main(["monte-carlo", "biped3", "--runs", "250", "--cases", "2", "--methods", "mle", "--seed", "6",
-                 "--cluster", address, "--out", str(tmp_path / "study")]) == 0
+    shell("monte-carlo biped3 --runs 250 --cases 2 --methods mle --seed 6 --cluster", address, "--out",
+          tmp_path / "study")
     killer.join(timeout=30)
     assert processes[1].wait(timeout=30) == -signal.SIGKILL
     assert processes[2].poll() is None
@@ -151,15 +153,14 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
 
 @pytest.mark.slow
 def test_sessions_are_compared_on_a_cluster_as_in_one_process(cluster: tuple[str, list[subprocess.Popen]],
-                                                              tmp_path: Path) -> None:
+                                                              tmp_path: Path, shell: Shell) -> None:
     """Three sessions; the torque of the last one is late."""
     files, rig = leg_runs(tmp_path, MAKERS["torque_delay"][0](1.0))
     first, same, other = ([str(f) for f in files[k: k + 2]] for k in (0, 2, 4))
     found = []
     for where in (["--cluster", cluster[0]], ["--workers", "1"]):
         out = tmp_path / f"{where[0]}.json"
-        assert main(["compare", *first, "--with", *same, "--with", *other, "--rig", str(rig), *where, "--json",
-                     str(out)]) == 0
+        shell("compare", *first, "--with", *same, "--with", *other, "--rig", rig, *where, "--json", out)
         found.append([pair | {"wall_s": 0.0} for pair in json.loads(out.read_text())["pairs"]])
     assert found[0] == found[1]
     assert [pair["b"]["name"] for pair in found[0]] == ["B", "C"]

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.csv_run import write_csv
-from experiments.cli import main
+from daq.runs import write_csv
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 RIG = """
 [mechanism]
@@ -31,33 +31,30 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
     return rig, paths
 
 
-def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], tmp_path: Path,
-                                            capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
     rig, paths = runs
     js = tmp_path / "fits.json"
-    assert main(["fit", "--each", *map(str, paths), "--rig", str(rig), "--workers", "2", "--json", str(js)]) == 0
+    shell("fit --each", *paths, "--rig", rig, "--workers 2 --json", js)
     fits = json.loads(js.read_text())["fits"]
     assert [Path(fit["run"]).name for fit in fits] == ["r0.csv", "r1.csv", "r2.csv"]
     single = tmp_path / "one.json"
-    assert main(["fit", str(paths[1]), "--rig", str(rig), "--json", str(single)]) == 0
+    shell("fit", paths[1], "--rig", rig, "--json", single)
     alone = json.loads(single.read_text())["parameters"]
     np.testing.assert_allclose([p["value"] for p in fits[1]["parameters"]], [p["value"] for p in alone], rtol=1e-9)
-    assert "r2.csv" in capsys.readouterr().out
+    assert "r2.csv" in shell.out
 
 
-def test_one_bad_file_does_not_stop_the_others(runs: tuple[Path, list[Path]], tmp_path: Path,
-                                               capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_bad_file_does_not_stop_the_others(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
     rig, paths = runs
     bad = tmp_path / "bad.csv"
     bad.write_text("time_s,q2_rad\n0,x\n")
-    assert main(["fit", "--each", str(bad), str(paths[0]), "--rig", str(rig), "--workers", "1"]) == 2
-    out = capsys.readouterr().out
+    shell("fit --each", bad, paths[0], "--rig", rig, "--workers 1", status=2)
+    out = shell.out
     assert "not fitted" in out and "r0.csv" in out
 
 
-def test_each_makes_no_model(runs: tuple[Path, list[Path]], tmp_path: Path,
-                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_makes_no_model(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
     rig, paths = runs
     arguments = ["fit", "--each", str(paths[0]), "--rig", str(rig), "--model-out", str(tmp_path / "m.json")]
-    assert main(arguments) == 2
-    assert "--each" in capsys.readouterr().err
+    shell(*arguments, status=2)
+    assert "--each" in shell.err

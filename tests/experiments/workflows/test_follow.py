@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 from daq import Dataset, InputError, parse_rig
-from daq.runs import read_csv
-from daq.runs.csv_run import write_csv
+from daq.runs import read_csv, write_csv
 from estimator import LoopTerm
 from estimator.model import leg2
-from experiments.cli import main
 from experiments.models import load_model
-from experiments.workflows.follow import follow_commands
+from experiments.workflows import follow_commands
 from experiments.workflows.loop_values import loop_findings
 from tests.support.models import LEG as SETTINGS
 from tests.support.models import write_model
 from tests.support.mujoco_leg import Leg
 from tests.support.servo_leg import COUNTS, follow
+from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\ngain = 8.0\ndamping = 0.2\nlimit = 1.0\n'
 BODY = Leg(viscous=(0.02, 0.03), coulomb=(0.01, 0.02))
@@ -32,13 +31,13 @@ def run() -> Dataset:
     return follow(BODY, np.random.default_rng(6), gain=8.0, damping=0.2, limit=1.0, seconds=5.0)
 
 
-def test_the_leg_follows_the_plan(tmp_path: Path, run: Dataset) -> None:
+def test_the_leg_follows_the_plan(tmp_path: Path, run: Dataset, shell: Shell) -> None:
     write_csv(Dataset("plan", 100.0, run.time_s, {"q2_cmd_rad": run["q2_cmd_rad"], "q1_rad": run["q1_rad"],
                                                   "q2_rad": run["q2_rad"]}), tmp_path / "plan.csv")
     (tmp_path / "rig.toml").write_text(RIG)
     model = write_model(tmp_path / "m.json", list(BODY.beta()), {**SETTINGS, "friction_velocity_radps": 0.02})
-    assert main(["simulate", str(model), "--plan", str(tmp_path / "plan.csv"), "--rig", str(tmp_path / "rig.toml"),
-                 "--out", str(tmp_path / "out.csv")]) == 0
+    shell("simulate", model, "--plan", tmp_path / "plan.csv", "--rig", tmp_path / "rig.toml", "--out",
+          tmp_path / "out.csv")
     found = read_csv(tmp_path / "out.csv", min_samples=2).columns
     for name in ("q1_rad", "q2_rad"):
         assert np.sqrt(np.mean((found[name] - run[name]) ** 2)) < 2.0 * 2.0 * np.pi / COUNTS

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs.csv_run import write_csv
+from daq.runs import write_csv
 from estimator import FitOptions, fit
 from estimator.model import leg2
 from experiments.cli import main
-from experiments.judge.friction_form import friction_shares
+from experiments.judge import friction_shares
 from tests.support.free_swing import swing
 from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.shell import Shell
 
 STARTS = ((1.0, 0.5), (-0.8, 1.2), (0.6, -1.5), (1.3, -0.4))
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = {}\n'
@@ -39,14 +40,14 @@ def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2) -
 
 @pytest.mark.parametrize(("actuated", "torque"), [("[2]", True), ("[]", True), ("[]", False)])
 def test_with_one_parameter_given_the_others_follow(tmp_path: Path, leg: Leg, actuated: str, torque: bool,
-                                                    capsys: pytest.CaptureFixture[str]) -> None:
+                                                    shell: Shell) -> None:
     runs, beta = files(tmp_path, leg, actuated, torque), leg.beta()
-    assert main(["fit", *runs, "--fix", f"beta5={beta[4]}", "--json", str(tmp_path / "fit.json")]) == 0
+    shell("fit", *runs, "--fix", f"beta5={beta[4]}", "--json", tmp_path / "fit.json")
     told = json.loads((tmp_path / "fit.json").read_text())
     found = np.array([p["value"] for p in told["parameters"]])
     assert found[:5] == pytest.approx(beta[:5], rel=2e-3)
     assert found[5:] == pytest.approx(beta[5:], rel=0.03)
-    text = capsys.readouterr().out
+    text = shell.out
     assert "TRUST the ratios" in text and "torque 0" not in text
     # of what the joint loses Coulomb friction takes c |v|, viscous d v^2; held against the swing itself
     line, = (line for line in text.splitlines() if line.startswith("friction of joint 2"))
@@ -76,15 +77,15 @@ def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, c
 
 
 @pytest.mark.slow
-def test_a_drag_with_the_square_of_speed_is_told_from_the_other_forms(tmp_path: Path, leg: Leg) -> None:
+def test_a_drag_with_the_square_of_speed_is_told_from_the_other_forms(tmp_path: Path, leg: Leg, shell: Shell) -> None:
     rng, paths = np.random.default_rng(79), []
     (tmp_path / "rig.toml").write_text(RIG.format("[]"))
     for k, start in enumerate(STARTS):
         run = swing(leg, rng, start, quadratic=0.004, torque=False)
         paths.append(str(tmp_path / f"swing{k}.csv"))
         write_csv(run, tmp_path / f"swing{k}.csv")
-    assert main(["diagnose", *paths, "--rig", str(tmp_path / "rig.toml"), "--fix", f"beta5={leg.beta()[4]}", "--quiet",
-                 "--json", str(tmp_path / "d.json")]) == 0
+    shell("diagnose", *paths, "--rig", tmp_path / "rig.toml", "--fix", f"beta5={leg.beta()[4]}", "--quiet --json",
+          tmp_path / "d.json")
     told = json.loads((tmp_path / "d.json").read_text())
     assert told["verdict"] == "named"
     cause, = told["causes"]

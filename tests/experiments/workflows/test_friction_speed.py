@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import load_rig
-from experiments import cli
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.hidden_effects import EFFECTS
-from experiments.excite.multisine import random_multisine
-from experiments.models.model_file import load_model
+from daq import load_rig
+from experiments.emulation import EFFECTS, record_emulated
+from experiments.excite import random_multisine
+from experiments.models import load_model
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import Shell
 
 
 @pytest.mark.study
-def test_a_spring_is_no_wider_rounding(tmp_path: Path) -> None:
+def test_a_spring_is_no_wider_rounding(tmp_path: Path, shell: Shell) -> None:
     """The emulated joint sticks. A fit without the spring rounds its friction off over several times the default, and
     an extended model that kept that speed erred by 5.4 mrad instead of 2.4 on the demo's runs."""
     runs = [tmp_path / f"r{k}.mcap" for k in range(5)]
@@ -25,7 +24,7 @@ def test_a_spring_is_no_wider_rounding(tmp_path: Path) -> None:
         record_emulated(run, load_rig(RIG), RIG.read_text(), random_multisine(30 + k, 10.0, 0.6), k,
                         hidden=EFFECTS["joint_stiffness"])
     for command in ("fit", "diagnose"):
-        assert cli.main([command, *map(str, runs), "--model-out", str(tmp_path / f"{command}.json")]) == 0
+        shell(command, *runs, "--model-out", tmp_path / f"{command}.json")
     nominal, extended = (load_model(tmp_path / f"{name}.json") for name in ("fit", "diagnose"))
     assert [(e.name, e.joint) for e in extended.effects] == [("joint_stiffness", 2)]
     assert np.max(nominal.mechanism.friction_velocity_radps) > 0.01

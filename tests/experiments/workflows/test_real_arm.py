@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rig import parse_rig
-from estimator.calibration.encoder_zeros import find_differing, find_zeros, subtract
+from daq import parse_rig
+from estimator.calibration import find_differing, find_zeros, subtract
 from estimator.prediction import FittedModel, predict
-from experiments.cli import main
 from experiments.session import load_runs, setup_of
-from experiments.workflows.fit import fit_runs
+from experiments.workflows import fit_runs
 from tests.support.paths import REAL as DATA
+from tests.support.shell import Shell
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 RIG = """
@@ -51,29 +51,28 @@ DESIGNS = {
 
 @pytest.mark.parametrize("method", ["wls", "mle"])
 @pytest.mark.parametrize("design", DESIGNS)
-def test_published_parameters_are_found_within_ten_per_cent(design: str, method: str, tmp_path: Path) -> None:
+def test_published_parameters_are_found_within_ten_per_cent(design: str, method: str, tmp_path: Path,
+                                                            shell: Shell) -> None:
     runs, left_out, published = DESIGNS[design]
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.format(actuated=[1, 2]))
     files = [str(DATA / design / f"{r}.csv.gz") for r in runs]
     out, model = tmp_path / "fit.json", tmp_path / "model.json"
-    assert main(["fit", *files, "--rig", str(rig), "--method", method, "--json", str(out),
-                 "--model-out", str(model)]) == 0
+    shell("fit", *files, "--rig", rig, "--method", method, "--json", out, "--model-out", model)
     found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
     beta = np.array([found[f"beta{k + 1}"] for k in range(5)])
     assert np.max(np.abs(beta / published - 1)) < 0.10
     check = tmp_path / "check.json"
-    assert main(["validate", str(model), str(DATA / design / f"{left_out}.csv.gz"), "--rig", str(rig),
-                 "--json", str(check)]) == 0
+    shell("validate", model, DATA / design / f"{left_out}.csv.gz", "--rig", rig, "--json", check)
     assert check.stat().st_size > 100
 
 
-def test_the_passive_pivot_is_the_papers_case(tmp_path: Path) -> None:
+def test_the_passive_pivot_is_the_papers_case(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.format(actuated=[2]))
     files = [str(DATA / "dfki_c0" / f"{r}_passive.csv.gz") for r in ("03", "04")]
     out = tmp_path / "fit.json"
-    assert main(["fit", *files, "--rig", str(rig), "--method", "wls", "--json", str(out)]) == 0
+    shell("fit", *files, "--rig", rig, "--method wls --json", out)
     found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
     # gravity terms agree with the driven runs; the two runs excite the inertias poorly (the data's README)
     assert found["beta4"] == pytest.approx(0.2411, rel=0.15)

@@ -9,15 +9,15 @@ import pytest
 
 from daq.recording import write_plan
 from drivers.mock.emulator import FirmwareEmulator
-from experiments.cli import main
 from experiments.excite import random_multisine
+from tests.support.shell import Shell
 
 RANGE_A = 0.5
 
 
 @pytest.mark.parametrize("clipped", [False, True])
 def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                         capsys: pytest.CaptureFixture[str]) -> None:
+                                                         shell: Shell) -> None:
     whole = FirmwareEmulator._telemetry
 
     def within(self: FirmwareEmulator, *args: object) -> object:
@@ -29,10 +29,10 @@ def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, tmp_path
     rig.write_text((files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8").replace(
         "[limits]", "[limits]\ntorque_band_nm = 0.6"))  # else the supervisor stops the motor
     write_plan(random_multisine(7, 4.0, 0.6), plan)
-    assert main(["record", "--rig", str(rig), "--plan", str(plan), "--out", str(run), "--emulate"]) == 0
+    shell("record --rig", rig, "--plan", plan, "--out", run, "--emulate")
     told = "tau2_nm stands at exactly"
-    assert (told in capsys.readouterr().err) == clipped
+    assert (told in shell.err) == clipped
     for command in (["info", str(run)], ["runs", str(tmp_path)], ["fit", str(run), "--rig", str(rig)]):
-        assert main(command) == 0
-        out = capsys.readouterr().out
+        shell(*command)
+        out = shell.out
         assert (("faulty readings" if command[0] == "runs" else told) in out) == clipped

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from daq import load_rig
-from experiments.cli import main
 from experiments.models import load_model
 from experiments.simulators import export_model, model_of_robot, read_robot
 from experiments.workflows import judge_robot
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 TRUE = Leg(viscous=(0.02, 0.03), coulomb=(0.0, 0.0))
 
@@ -49,13 +49,13 @@ def test_wrong_parameters_of_a_file_are_named(runs: list[object], tmp_path: Path
     assert "beta7" in wrong.text() and "half widths" in wrong.text()
 
 
-def test_what_cannot_be_judged_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_judged_is_one_line(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     source = robot(tmp_path, Leg())
-    assert main(["doctor", "--model", str(source)]) == 2
-    assert main(["doctor", "run.csv"]) == 2
+    shell("doctor --model", source, status=2)
+    shell("doctor run.csv", status=2)
     source.write_text(source.read_text().replace('pos="0 0 -0.3', 'pos="0.3 0 0'))
     settings = load_model(write_model(tmp_path / "m.json", TRUE.beta().tolist(), LEG)).mechanism
     with pytest.raises(Exception, match="does not hang along -z"):
         model_of_robot(read_robot(source), settings, "zero", "leg.xml")
-    assert len(capsys.readouterr().err.splitlines()) == 2
+    assert len(shell.err.splitlines()) == 2

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.rig import load_rig, parse_rig
+from daq import load_rig, parse_rig
 from daq.runs import write_csv
-from experiments.cli import main
 from experiments.session import with_choices
 from experiments.workflows import tune_runs
 from experiments.workflows.trial import Trial
 from experiments.workflows.tune_times import Times, _between, _refined
 from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
+from tests.support.shell import Shell
 from tests.support.timed_leg import Timing, record
 
 LEG_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\n'
@@ -34,15 +34,15 @@ def timed_runs(folder: Path, seed: int, timing: Timing, rate_hz: float) -> tuple
                   f'[sampling]\nrate_hz = {rate_hz}\nhold = "average"\n')
 
 
-def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_chosen_is_told_and_written(tmp_path: Path, shell: Shell) -> None:
     runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], tmp_path)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
     text = f"# our arm\n{ARM_RIG}[noise]\nencoder_rad = 1e-4   # by its data sheet\n[filter]\ncutoff_hz = 8.0\n"
     rig.write_text(text)
-    assert main(["tune", *runs[:2], "--rig", str(rig)]) == 0
-    assert "[terms] torque_offset" in capsys.readouterr().out and rig.read_text() == text  # not asked to write
-    assert main(["tune", *runs, "--rig", str(rig), "--json", str(out), "--write"]) == 0
-    printed = capsys.readouterr().out
+    shell("tune", *runs[:2], "--rig", rig)
+    assert "[terms] torque_offset" in shell.out and rig.read_text() == text  # not asked to write
+    shell("tune", *runs, "--rig", rig, "--json", out, "--write")
+    printed = shell.out
     assert "[terms] torque_offset" in printed and "a constant in the measured torque" in printed
     assert "on held-out runs" in printed
     found = json.loads(out.read_text())
@@ -53,42 +53,42 @@ def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.Captu
     written_text = rig.read_text()
     assert written_text.startswith("# our arm\n") and "# by its data sheet" in written_text
     assert load_rig(rig).terms.torque_offset == (1,)
-    assert main(["fit", *runs, "--rig", str(rig)]) == 0
-    assert "chosen, where rig.toml is silent: torque_offset" not in capsys.readouterr().out
+    shell("fit", *runs, "--rig", rig)
+    assert "chosen, where rig.toml is silent: torque_offset" not in shell.out
 
 
-def test_no_entry_changes_where_no_fit_predicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_entry_changes_where_no_fit_predicts(tmp_path: Path, shell: Shell) -> None:
     runs = written([negated(swing_run(0.02, 0.05), "tau1_nm")], tmp_path)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
     text = f"{SWING_RIG}[sampling]\nrate_hz = 50.0\n"
     rig.write_text(text)
-    assert main(["tune", *runs, "--rig", str(rig), "--write", "--json", str(out)]) == 1
+    shell("tune", *runs, "--rig", rig, "--write --json", out, status=1)
     assert rig.read_text() == text
-    assert capsys.readouterr().out.startswith("nothing is chosen: ")
+    assert shell.out.startswith("nothing is chosen: ")
     found = json.loads(out.read_text())
     assert {t["error"] for t in found["tried"]} == {"no prediction"} and found["chosen"] == []
 
 
-def test_a_parameter_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_parameter_may_be_given(tmp_path: Path, shell: Shell) -> None:
     runs = written([swing_run(0.02, 0.05)], tmp_path)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
     rig.write_text(f"{SWING_RIG}[filter]\ncutoff_hz = 5.0\n")
     errors = {}
     for given in ("beta4=0.05", "beta4=0.5"):  # Coulomb friction as it is, and ten times that
-        assert main(["tune", *runs, "--rig", str(rig), "--json", str(out), "--force", "--fix", given]) == 0
+        shell("tune", *runs, "--rig", rig, "--json", out, "--force --fix", given)
         errors[given] = json.loads(out.read_text())["error_before"][0]
     assert errors["beta4=0.5"] > 2.0 * errors["beta4=0.05"]
-    assert main(["tune", *runs, "--rig", str(rig), "--fix", "beta5=1"]) == 2
-    assert "joint1 has no parameter beta5" in capsys.readouterr().err
+    shell("tune", *runs, "--rig", rig, "--fix beta5=1", status=2)
+    assert "joint1 has no parameter beta5" in shell.err
 
 
-def test_rate_hold_and_delay_are_found_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rate_hold_and_delay_are_found_together(tmp_path: Path, shell: Shell) -> None:
     """A controller that holds its torque from 3 ms after its stamp on; the rig file has half the rate, another hold."""
     runs, text = timed_runs(tmp_path, 1, Timing(200.0, delay_s=0.003), 100.0)
     rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
     rig.write_text(text)
-    assert main(["tune", *map(str, runs), "--rig", str(rig), "--json", str(out), "--write"]) == 0
-    printed, found = capsys.readouterr().out, json.loads(out.read_text())
+    shell("tune", *runs, "--rig", rig, "--json", out, "--write")
+    printed, found = shell.out, json.loads(out.read_text())
     assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in printed
     tuned = load_rig(rig)
     assert (tuned.sampling.rate_hz, tuned.sampling.hold) == (200.0, "zero")

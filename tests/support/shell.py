@@ -1,0 +1,41 @@
+"""`legid` as it is typed: a command, the status that it must end with, and what it said."""
+
+from __future__ import annotations
+
+import pytest
+
+from experiments import cli
+
+
+def typed(*words: object, status: int = 0) -> None:
+    """`typed("fit", run, "--sensors imu --rig", rig)`: words are split at blanks, paths are not."""
+    assert cli.main([part for word in words for part in (word.split() if isinstance(word, str) else [str(word)])]
+                    ) == status
+
+
+class Shell:
+    """Commands as `typed` takes them, and what they say."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self.read = capsys.readouterr
+
+    def __call__(self, *words: object, status: int = 0) -> None:
+        typed(*words, status=status)
+
+    @property
+    def out(self) -> str:
+        """What was said since it was last read, without errors."""
+        return self.read().out
+
+    @property
+    def err(self) -> str:
+        """Errors since they were last read."""
+        return self.read().err
+
+    def fails(self, *words: object, status: int = 2) -> str:
+        """The one line of a command that must fail."""
+        self.read()
+        self(*words, status=status)
+        line = self.err
+        assert line.count("\n") == 1 and line.startswith("legid") and "Traceback" not in line, line
+        return line
