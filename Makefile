@@ -53,20 +53,20 @@ $(THEIRS): $(STAMP) requirements-counterparts.lock
 
 # Style, types and tests side by side. The tests themselves: `make fast`.
 test: $(STAMP) $(THEIRS)
-	$(MAKE) --jobs 3 fast kernel lint
+	$(MAKE) --jobs 2 fast kernel lint
 
 # The numerics with another BLAS kernel: no test hangs on how a sum is rounded.
 kernel: $(STAMP)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.tools.other_kernel
 
 fast: $(STAMP) $(THEIRS)
-	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile -m "not slow and not study" tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not study" tests
 
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
 # of studies and recordings, clusters, the generator of `make evidence`, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.tools.other_kernel --slow
-	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile -m "slow and not study" tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "slow and not study" tests
 
 # The same on other drives and seeds, and on all public records of the casebook: half an hour.
 test-study: $(STAMP) $(THEIRS)

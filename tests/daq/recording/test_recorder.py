@@ -17,6 +17,7 @@ from daq.recording.recorder import RAMP_S
 from daq.runs import read_run
 from drivers import LinkLost, Lsm9ds1, State
 from drivers.mock.plant import StillPlant, StillState
+from tests.support.processes import REAL_CLOCK
 from tests.support.recordings import RIG, Turning, at, sine, threaded
 from tests.support.runs import load_run
 from tests.support.sensor_bench import RigBench
@@ -208,6 +209,7 @@ def test_threads_record_the_same_on_the_real_clock(tmp_path: Path) -> None:
     assert not [t for t in threading.enumerate() if t.name in ("leg", "imu", "writer") and t not in before]
 
 
+@REAL_CLOCK
 @pytest.mark.parametrize(("number", "said"), [
     (signal.SIGINT, "stopped by Ctrl-C"), (signal.SIGTERM, "stopped by SIGTERM"),
     (signal.SIGHUP, "stopped by SIGHUP")])
