@@ -14,6 +14,7 @@ from experiments.cli import main
 from experiments.emulation import ServedRig
 from tests.support.imported_files import ros2_bag
 from tests.support.mujoco_leg import Leg, record
+from tests.support.processes import REAL_CLOCK
 
 Type = Callable[[str], tuple[int, str]]
 PER_AMPERE = 0.9
@@ -108,6 +109,7 @@ def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not re.search(r"(?<!NEW_)RUN|RIG", said.split("Next step: ")[1].splitlines()[0])
 
 
+@REAL_CLOCK
 def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with ServedRig(tmp_path / "served", drive="moteus") as served:
         devices = load_rig(served.rig_path).devices
