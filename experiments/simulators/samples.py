@@ -81,8 +81,8 @@ def draw_models(model: Model, where: str, count: int, seed: int) -> Samples:
                 raise WorkError(f"{where}: {redrawn} of {redrawn + len(rows)} draws are no leg; fit on more runs, so "
                                 "that its intervals are narrower")
     names = (*(p.name for p in model.parameters), *(
-        f"{value.name}{f'@{value.joint}' if value.joint else ''}.{one.name}"
-        for value, (effect, _) in zip(model.effects, effects) for one in (*effect.sizes, *effect.shapes)))
+        f"{value.name}{f'@{value.joint}' if value.joint else ''}.{name}" for value, (effect, _) in
+        zip(model.effects, effects) for name in (*(s.name for s in effect.sizes), *(s.name for s in effect.shapes))))
     return Samples(names, np.array(rows), tuple(models), redrawn, tuple(n for n, h in zip(names, held) if h))
 
 

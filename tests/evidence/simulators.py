@@ -20,7 +20,7 @@ from msgspec import structs
 from experiments.cli import main as legid
 from experiments.models import Model, load_model, save_model
 from experiments.simulators import ExportedLeg, draw_models, simulator_files, write_samples
-from experiments.simulators.parts import ADDED, HELD
+from experiments.simulators.parts import LEFT
 from studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.page_file import write_page
@@ -117,7 +117,7 @@ def held_by(names: Sequence[str], opposite: bool) -> str:
     left = [note for note in files.notes if note.startswith("leg.py applies")]
     if not left:
         return "leg.xml"
-    return "leg.xml and leg.py" if any(name in (*ADDED, *HELD) for name in names) and not opposite else "leg.py"
+    return "leg.xml and leg.py" if any(name not in LEFT for name in names) and not opposite else "leg.py"
 
 
 def page(legs: int) -> Iterator[str]:
