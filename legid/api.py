@@ -242,9 +242,9 @@ def compare(a: ModelLike | Runs, b: ModelLike | Runs, runs: Runs = (), rig: RigL
     another mechanism than the rig's and for runs that do not belong together, `FitError` where no motion can be
     estimated.
     """
-    if not isinstance(a, Model | Path | str) and not isinstance(b, Model | Path | str):
+    if not isinstance(a, ModelLike) and not isinstance(b, ModelLike):
         return compare_sessions([a, b], names, rig)
-    if not isinstance(a, Model | Path | str) or not isinstance(b, Model | Path | str):
+    if not isinstance(a, ModelLike) or not isinstance(b, ModelLike):
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     (first, _, of_a), (second, _, of_b) = as_model(a, names[0]), as_model(b, names[1])
     given, known = runs_and_rig(runs, rig)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -39,12 +38,12 @@ from experiments.workflows import (
     OF_MODELS,
     OF_RUNS,
     Refit,
-    Wanted,
     Written,
     check_wanted,
     choose_executor,
+    export_file,
+    export_folder,
     export_kind,
-    export_model_as,
     follow_commands,
     plan_for,
     refit_all,
@@ -81,20 +80,17 @@ def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = Non
 
     Raises `InputError` for what the format cannot hold or take.
     """
-    kind, wanted = export_kind(str(out), to), Wanted(samples=samples, seed=seed)
-    given = as_runs(starts)
+    kind, given = export_kind(str(out), to), as_runs(starts)
     check_wanted(kind, bool(given), samples)
     if isinstance(what, PlainDataset if kind in OF_MODELS else Model):
         raise InputError(str(out), f"{kind} is no format of a {'model' if isinstance(what, Model) else 'run'}",
                          f"a run goes to {', '.join(OF_RUNS)}, a model to {', '.join(OF_MODELS)}")
     if not isinstance(what, PlainDataset) and kind in OF_MODELS:
         model, where, _ = as_model(what, "the model")
-        if given:
-            known = runs_and_rig(given, rig)[1].rig
-            wanted = replace(wanted, starts=prepare(given, known, beta=np.array(model.beta)))
-        elif rig is not None:
-            wanted = replace(wanted, limits=as_rig(rig).rig.limits)
-        return export_model_as(kind, model, where, out, wanted)
+        if kind == "mujoco":
+            runs = prepare(given, runs_and_rig(given, rig)[1].rig, beta=np.array(model.beta)) if given else None
+            return export_folder(model, where, Path(out), runs, samples, seed)
+        return export_file(kind, model, where, out, None if rig is None else as_rig(rig).rig.limits)
     assert not isinstance(what, Model)
     return _export_run(what, kind, out, rig, rate_hz, damaged)
 

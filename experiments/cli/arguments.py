@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from math import inf, nan
+from math import inf
 
 from experiments.cli.command import argument, output
 
 
 def number(accepted: Callable[[float], bool], what: str) -> Callable[[str], float]:
     """A reader of numbers that are `accepted`, for `type=` of an argument; any other is said to be no `what`."""
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = nan
-        if not accepted(value):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-        return value
-
-    return read
+    read = numbers(lambda some: len(some) == 1 and accepted(*some), what)
+    return lambda text: read(text)[0]
 
 
 def numbers(accepted: Callable[[tuple[float, ...]], bool], what: str) -> Callable[[str], tuple[float, ...]]:

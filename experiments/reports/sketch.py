@@ -30,10 +30,9 @@ def sketch_pictures(mechanism: Mechanism, poses: FloatArray, time_s: FloatArray,
     pose, when = poses[k], f"{time_s[k] - time_s[0]:.1f} s into run {run}"
     motors = [f"joint {j + 1}" for j in mechanism.actuated]
     angles = ", ".join(f"q{j + 1} = {x:.2f} rad" for j, x in enumerate(pose))
-    upright = mechanism.gravity < 0.0
     caption = (f"The mechanism {when}: {angles}. Arrows show the sense in which an angle grows; a torque is positive "
-               f"in the same sense. q1 counts from {'upright' if upright else 'hanging'}, the others from the link "
-               f"before. Filled joints have a motor ({', '.join(motors) if motors else 'none'}). All "
+               f"in the same sense. q1 counts from {'upright' if _up(mechanism) > 0.0 else 'hanging'}, the others from "
+               f"the link before. Filled joints have a motor ({', '.join(motors) if motors else 'none'}). All "
                "links are drawn with the same length"
                + ("; x and y are the axes of an IMU." if _imus(mechanism) else "."))
     return [Picture(draw_mechanism(mechanism, pose), caption)]
@@ -42,13 +41,17 @@ def sketch_pictures(mechanism: Mechanism, poses: FloatArray, time_s: FloatArray,
 def joint_places(mechanism: Mechanism, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 2) where each link begins and where it ends, x to the right and y up, each link of length 1."""
     theta = mechanism.from_zero(mechanism.transform @ pose)
-    up = -1.0 if mechanism.gravity >= 0.0 else 1.0
-    along = np.stack([np.sin(theta), up * np.cos(theta)], axis=1)
+    along = np.stack([np.sin(theta), _up(mechanism) * np.cos(theta)], axis=1)
     begin = np.zeros_like(along)
     for link in range(mechanism.n):
         parent = parent_of(mechanism, link)
         begin[link] = 0.0 if parent is None else begin[parent] + along[parent]
     return begin, begin + along
+
+
+def _up(mechanism: Mechanism) -> float:
+    """1 where an angle of zero points up, -1 where it hangs."""
+    return 1.0 if mechanism.gravity < 0.0 else -1.0
 
 
 def draw_mechanism(mechanism: Mechanism, pose: FloatArray) -> str:
@@ -71,20 +74,22 @@ def draw_mechanism(mechanism: Mechanism, pose: FloatArray) -> str:
 
 def _draw_link(axes: Axes, mechanism: Mechanism, link: int, begin: FloatArray, end: FloatArray) -> None:
     start, along = begin[link], end[link] - begin[link]
-    parent = parent_of(mechanism, link)
+    parent, imus = parent_of(mechanism, link), _imus(mechanism)
     axes.plot(*zip(start, end[link]), color=BLUE, linewidth=4.0, solid_capstyle="round", zorder=2)
     side = 1 if along[0] >= 0.0 else -1  # away from the vertical, where the arc is
-    at = 0.2 if any(place.link == link for place in _imus(mechanism)) else 0.6  # which has a label of its own
+    at = 0.2 if any(place.link == link for place in imus) else 0.6  # which has a label of its own
     axes.annotate(f"link {link + 1}", tuple(start + at * along), xytext=(7 * side, 3), textcoords="offset points",
                   fontsize=9.0, ha="left" if side > 0 else "right")
     driven = link in mechanism.actuated
     axes.plot(*start, "o", color=BLUE, markerfacecolor=ORANGE if driven else "white", markersize=8.0, zorder=4)
-    up = 1.0 if mechanism.gravity < 0.0 else -1.0
+    up = _up(mechanism)
     before = np.array([0.0, up]) if parent is None else end[parent] - begin[parent]
     axes.plot(*zip(start, start + 0.7 * before), color=GREY, linewidth=1.0, linestyle="--", zorder=1)
     if parent is None:
         axes.plot([start[0] - 0.2, start[0] + 0.2], [start[1]] * 2, color=INK, linewidth=3.0, zorder=1)
-    _draw_imus(axes, mechanism, link, start, along, up)
+    for number, place in enumerate(imus, 1):
+        if place.link == link:
+            _draw_imu(axes, start + 0.55 * along, along, up, "IMU" if len(imus) == 1 else f"IMU {number}")
     if mechanism.transform[link, link] <= 0.0 or mechanism.exchanged:  # its angle is that of no single joint
         return
     first = float(np.arctan2(before[1], before[0]))
@@ -97,12 +102,6 @@ def _draw_link(axes: Axes, mechanism: Mechanism, link: int, begin: FloatArray, e
     axes.annotate("", tuple(line[:, -1]), tuple(line[:, -4]), arrowprops={"arrowstyle": "->", "color": GREEN})
     axes.annotate(f"q{link + 1}", tuple(start + 1.7 * (line[:, len(arc) // 2] - start)), color=GREEN, ha="center",
                   va="center", fontsize=9.0)
-
-
-def _draw_imus(axes: Axes, mechanism: Mechanism, link: int, start: FloatArray, along: FloatArray, up: float) -> None:
-    for k, place in enumerate(_imus(mechanism)):
-        if place.link == link:
-            _draw_imu(axes, start + 0.55 * along, along, up, "IMU" if len(_imus(mechanism)) == 1 else f"IMU {k + 1}")
 
 
 def _draw_imu(axes: Axes, at: FloatArray, along: FloatArray, up: float, label: str) -> None:

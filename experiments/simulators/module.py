@@ -15,6 +15,10 @@ from experiments.simulators.parts import Parts
 
 MARGIN = 0.1
 """See `TorqueSaturation`: a current beyond this is continued straight."""
+IMU_ERROR, ENCODER_ERROR = "the IMU's error", "the encoder's error"
+TWIST = "the encoder on the motor reads the gear's twist under the torque through it"
+Terms = defaultdict[int, list[str]]
+"""Joint from 0 to lines, or to the terms of a sum."""
 
 
 class Code:
@@ -25,13 +29,13 @@ class Code:
         self.said: list[str] = []
         self.constants: list[str] = []
         self.functions: list[str] = []
-        self.torque = defaultdict[int, list[str]](list)
+        self.torque: Terms = defaultdict(list)
         """Lines that change what acts (`u1`, ...) of a driven joint, from 0."""
-        self.level = defaultdict[int, list[str]](list)
+        self.level: Terms = defaultdict(list)
         """Terms of the joint's dry friction [N m]."""
-        self.taken = defaultdict[int, list[str]](list)
+        self.taken: Terms = defaultdict(list)
         """Terms of the torque that the joint takes [N m]."""
-        self.read = defaultdict[int, list[str]](list)
+        self.read: Terms = defaultdict(list)
         """Terms that its encoder adds."""
         self.felt: list[str] = []
         """Lines that change an IMU's readings."""
@@ -56,8 +60,7 @@ def module_of(parts: Parts, command: str) -> str:
 
     code = Code(parts)
     for effect in parts.left:
-        own = [effect.joint - 1] if effect.joint else list(parts.mechanism.actuated)
-        LAWS[effect.name](code, effect, own)
+        _apply(code, effect)
     _structure(code)
     template = Path(__file__).with_name("leg.py.jinja").read_text(encoding="utf-8")
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
@@ -225,125 +228,99 @@ def bilinear(x: float, y: float, xs: np.ndarray, ys: np.ndarray, values: np.ndar
 '''.rstrip("\n").split("\n")
 
 
-def _saturation(code: Code, effect: EffectValue, at: list[int]) -> None:
-    c = effect.sizes["cubic_shortfall"]
-    for j in at:
-        code.say(effect.name, j, "the motor gives i / sqrt(1 + 2 c i^2) of a measured torque i")
-        name, u = code.constant(f"SHORTFALL{j + 1}", c, "1/(N m)^2"), f"u{j + 1}"
-        lines = code.torque[j]
-        if c > 0.0:
-            most = (0.5 * (1.0 - MARGIN) / c) ** 0.5
-            edge, slope = most / MARGIN**0.5, MARGIN**-1.5
-            lines += [f"i, most = abs({u}), {edge!r}  # beyond it the torque grows by {1.0 / slope:.3g} of the current",
-                      f"i = min(i, most) / math.sqrt(1.0 + 2.0 * {name} * min(i, most) ** 2) "
-                      f"+ {1.0 / slope!r} * max(i - most, 0.0)", f"{u} = math.copysign(i, {u})"]
-        else:
-            lines.append(f"{u} /= math.sqrt(max(1.0 + 2.0 * {name} * {u} ** 2, 0.1))")
+def _apply(code: Code, effect: EffectValue) -> None:
+    """Write the law of an effect, or what of it leg.xml does not hold."""
+    size, j = effect.sizes, (effect.joint or 1) - 1
+    match effect.name:
+        case "torque_saturation":
+            for k in [j] if effect.joint else code.parts.mechanism.actuated:
+                code.say(effect.name, k, "the motor gives i / sqrt(1 + 2 c i^2) of a measured torque i")
+                code.torque[k] += _saturation(code, size["cubic_shortfall"], k)
+        case "gyro_bias":
+            code.say(effect.name, None, IMU_ERROR)
+            code.felt.append(f'row["gyro_radps"] += {size["bias"]!r}')
+        case "gyro_scale":
+            code.say(effect.name, None, IMU_ERROR)
+            code.felt.insert(0, f'row["gyro_radps"] *= 1.0 + {size["scale_error"]!r}')
+        case "accelerometer_bias":
+            code.say(effect.name, None, IMU_ERROR)
+            code.felt += [f'row["accel_{axis}_mps2"] += {size[f"bias_{axis}"]!r}' for axis in "xy"]
+        case "torque_delay":
+            code.say(effect.name, None, "the measured torque is read late")
+            code.late_s = size["delay"]
+        case "sensor_time_skew":
+            code.say(effect.name, None, "the IMU is early: encoders and torques are read late")
+            code.early_s = -size["skew"]
+        case _:
+            into, how, term = _joint_law(code, effect, j)
+            code.say(effect.name, j, how)
+            into[j].append(term)
 
 
-def _stribeck(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, shape = at[0], effect.shapes
-    code.say(effect.name, j, "dry friction is higher by F exp(-|v / v_s|^n) near standstill")
-    f = code.constant(f"STRIBECK{j + 1}", effect.sizes["excess_torque"], "N m")
-    code.level[j].append(
-        f"{f} * math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
+def _saturation(code: Code, c: float, j: int) -> list[str]:
+    """Lines that change the torque of joint j, from 0."""
+    name, u = code.constant(f"SHORTFALL{j + 1}", c, "1/(N m)^2"), f"u{j + 1}"
+    if c <= 0.0:
+        return [f"{u} /= math.sqrt(max(1.0 + 2.0 * {name} * {u} ** 2, 0.1))"]
+    most = (0.5 * (1.0 - MARGIN) / c) ** 0.5
+    edge, slope = most / MARGIN**0.5, MARGIN**-1.5
+    return [f"i, most = abs({u}), {edge!r}  # beyond it the torque grows by {1.0 / slope:.3g} of the current",
+            f"i = min(i, most) / math.sqrt(1.0 + 2.0 * {name} * min(i, most) ** 2) "
+            f"+ {1.0 / slope!r} * max(i - most, 0.0)", f"{u} = math.copysign(i, {u})"]
 
 
-def _load(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, parts = at[0], code.parts
-    mu, joint = effect.sizes["load_coefficient"], parts.joints[j]
-    code.say(effect.name, j, "dry friction grows by mu times the transmitted torque")
-    name = code.constant(f"LOAD{j + 1}", mu, "1")
-    code.functions += [
-        "", "", f"def load{j + 1}(u: float, sign: float) -> float:",
-        '    """Further dry friction [N m] under the motor torque u, while the joint moves to the side `sign`."""',
-        f"    over = u * sign - {joint.dry!r}", "    load = math.sqrt(over * over + 1e-6)",
-        f"    return {name} * load / (1.0 + {min(max(mu, -0.9), 0.9)!r} * over / load)"]
-    code.level[j].append(f"load{j + 1}(u{j + 1}, s{j + 1})")
-
-
-def _load_more(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, shape = at[0], effect.shapes
-    joint, size = code.parts.joints[j], effect.sizes["load_coefficient"]
-    load = f"math.hypot(u{j + 1} * s{j + 1} - {joint.dry!r}, 1e-3)"
-    if effect.name == "quadratic_load_friction":
-        code.say(effect.name, j, "dry friction grows by k times the square of the transmitted torque")
-        code.level[j].append(f"{code.constant(f'LOAD_SQUARED{j + 1}', size, '1/(N m)')} * {load} ** 2")
-        return
-    code.say(effect.name, j, "dry friction by load is higher by mu exp(-|v / v_s|^n) near standstill")
-    code.level[j].append(
-        f"{code.constant(f'LOAD_AT_REST{j + 1}', size, '1')} * {load} "
-        f"* math.exp(-(abs(v{j + 1}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
-
-
-def _load_by_side(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, size, shape = at[0], effect.sizes, effect.shapes
-    code.say(effect.name, j, "dry friction grows by k |(1 - s) tau_m - s tau_e|, tau_e the load's torque a step before")
-    share, k = shape["load_share"], code.constant(f"LOAD_BY_SIDE{j + 1}", size["load_coefficient"], "1")
-    code.level[j].append(
-        f"({k} + {size['coefficient_near_rest']!r} * math.exp(-(v{j + 1} / {shape['stribeck_velocity']!r}) ** 2)) "
-        f"* math.hypot({1.0 - share!r} * u{j + 1} + {share!r} * float(d.qfrc_bias[{_dof(code.parts, j)}]), 1e-3)")
-
-
-def _drift(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, size = at[0], effect.sizes
-    code.say(effect.name, j, "dry friction changes over the session and within each run")
-    code.level[j].append(
-        f"({-size['change']!r} * math.expm1(-(self.session_s + d.time + ahead) / {effect.shapes['time_constant']!r})"
-        f" + {size['change_per_minute_within_runs'] / 60.0!r} * (self.run_s + d.time + ahead))")
-
-
-def _asymmetric(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j = at[0]
-    code.say(effect.name, j, "half of the difference in viscous friction, B |v| / 2; leg.xml holds the rest")
-    code.taken[j].append(f"{0.5 * effect.sizes['viscous_difference']!r} * s{j + 1} * v{j + 1}")
-
-
-def _drag(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j = at[0]
-    code.say(effect.name, j, "a negative drag")
-    code.taken[j].append(f"{effect.sizes['drag']!r} * v{j + 1} * abs(v{j + 1})")
-
-
-def _gear(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, size = at[0], effect.sizes
-    code.say(effect.name, j, "the encoder on the motor reads the gear's twist under the torque through it")
-    twist = f"{size['compliance']!r} * through{j + 1}" if effect.name == "joint_elasticity" else \
-        f"{0.5 * size['gap']!r} * math.tanh(through{j + 1} / {effect.shapes['contact_torque']!r})"
-    code.read[j].append(twist)
-
-
-def _encoder(code: Code, effect: EffectValue, at: list[int]) -> None:
-    j, size = at[0], effect.sizes
-    code.say(effect.name, j, "the encoder's error")
-    code.read[j].append(
-        repr(size["offset"]) if effect.name == "encoder_offset" else
-        f"{size['sine_amplitude']!r} * math.sin(q{j + 1}) + {size['cosine_amplitude']!r} * math.cos(q{j + 1})")
-
-
-def _imu_error(code: Code, effect: EffectValue, at: list[int]) -> None:
-    code.say(effect.name, None, "the IMU's error")
-    if effect.name == "gyro_bias":
-        code.felt.append(f'row["gyro_radps"] += {effect.sizes["bias"]!r}')
-    elif effect.name == "gyro_scale":
-        code.felt.insert(0, f'row["gyro_radps"] *= 1.0 + {effect.sizes["scale_error"]!r}')
-    else:
-        code.felt += [f'row["accel_{axis}_mps2"] += {effect.sizes[f"bias_{axis}"]!r}' for axis in "xy"]
-
-
-def _late(code: Code, effect: EffectValue, at: list[int]) -> None:
-    code.say(effect.name, None, "the measured torque is read late")
-    code.late_s = effect.sizes["delay"]
-
-
-def _early(code: Code, effect: EffectValue, at: list[int]) -> None:
-    code.say(effect.name, None, "the IMU is early: encoders and torques are read late")
-    code.early_s = -effect.sizes["skew"]
-
-
-LAWS = {"torque_saturation": _saturation, "stribeck_friction": _stribeck, "load_dependent_friction": _load,
-        "friction_drift": _drift, "asymmetric_friction": _asymmetric, "quadratic_drag": _drag,
-        "joint_elasticity": _gear, "backlash": _gear, "encoder_offset": _encoder, "encoder_eccentricity": _encoder,
-        "gyro_bias": _imu_error, "gyro_scale": _imu_error, "accelerometer_bias": _imu_error, "torque_delay": _late,
-        "sensor_time_skew": _early, "load_stribeck_friction": _load_more, "quadratic_load_friction": _load_more,
-        "directional_load_friction": _load_by_side}
+def _joint_law(code: Code, effect: EffectValue, j: int) -> tuple[Terms, str, str]:
+    """(terms to which it adds one, what it does in words, that term) of an effect at joint j, from 0."""
+    size, shape, n, dry = effect.sizes, effect.shapes, j + 1, code.parts.joints[j].dry
+    load = f"math.hypot(u{n} * s{n} - {dry!r}, 1e-3)"
+    match effect.name:
+        case "stribeck_friction":
+            f = code.constant(f"STRIBECK{n}", size["excess_torque"], "N m")
+            return (code.level, "dry friction is higher by F exp(-|v / v_s|^n) near standstill",
+                    f"{f} * math.exp(-(abs(v{n}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
+        case "load_dependent_friction":
+            mu = size["load_coefficient"]
+            name = code.constant(f"LOAD{n}", mu, "1")
+            code.functions += [
+                "", "", f"def load{n}(u: float, sign: float) -> float:",
+                '    """Further dry friction [N m] under the motor torque u, while the joint moves to the side '
+                '`sign`."""',
+                f"    over = u * sign - {dry!r}", "    load = math.sqrt(over * over + 1e-6)",
+                f"    return {name} * load / (1.0 + {min(max(mu, -0.9), 0.9)!r} * over / load)"]
+            return code.level, "dry friction grows by mu times the transmitted torque", f"load{n}(u{n}, s{n})"
+        case "quadratic_load_friction":
+            name = code.constant(f"LOAD_SQUARED{n}", size["load_coefficient"], "1/(N m)")
+            return (code.level, "dry friction grows by k times the square of the transmitted torque",
+                    f"{name} * {load} ** 2")
+        case "load_stribeck_friction":
+            name = code.constant(f"LOAD_AT_REST{n}", size["load_coefficient"], "1")
+            return (code.level, "dry friction by load is higher by mu exp(-|v / v_s|^n) near standstill",
+                    f"{name} * {load} "
+                    f"* math.exp(-(abs(v{n}) / {shape['stribeck_velocity']!r}) ** {shape['exponent']!r})")
+        case "directional_load_friction":
+            share, k = shape["load_share"], code.constant(f"LOAD_BY_SIDE{n}", size["load_coefficient"], "1")
+            return (code.level,
+                    "dry friction grows by k |(1 - s) tau_m - s tau_e|, tau_e the load's torque a step before",
+                    f"({k} + {size['coefficient_near_rest']!r} * math.exp(-(v{n} / {shape['stribeck_velocity']!r}) "
+                    f"** 2)) * math.hypot({1.0 - share!r} * u{n} + {share!r} * float(d.qfrc_bias"
+                    f"[{_dof(code.parts, j)}]), 1e-3)")
+        case "friction_drift":
+            return (code.level, "dry friction changes over the session and within each run",
+                    f"({-size['change']!r} * math.expm1(-(self.session_s + d.time + ahead) / "
+                    f"{shape['time_constant']!r})"
+                    f" + {size['change_per_minute_within_runs'] / 60.0!r} * (self.run_s + d.time + ahead))")
+        case "asymmetric_friction":
+            return (code.taken, "half of the difference in viscous friction, B |v| / 2; leg.xml holds the rest",
+                    f"{0.5 * size['viscous_difference']!r} * s{n} * v{n}")
+        case "quadratic_drag":
+            return code.taken, "a negative drag", f"{size['drag']!r} * v{n} * abs(v{n})"
+        case "joint_elasticity":
+            return code.read, TWIST, f"{size['compliance']!r} * through{n}"
+        case "backlash":
+            return (code.read, TWIST,
+                    f"{0.5 * size['gap']!r} * math.tanh(through{n} / {shape['contact_torque']!r})")
+        case "encoder_offset":
+            return code.read, ENCODER_ERROR, repr(size["offset"])
+        case _:  # encoder_eccentricity
+            return (code.read, ENCODER_ERROR,
+                    f"{size['sine_amplitude']!r} * math.sin(q{n}) + {size['cosine_amplitude']!r} * math.cos(q{n})")

@@ -7,7 +7,6 @@ becomes parts, or it is `left`: then the generated module applies its law around
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -105,22 +104,13 @@ def parts_of(model: Model, where: str) -> Parts:
     joints = [JointParts(b.joint, b.driven, b.viscous, b.coulomb, float(speed), b.rotor, b.offset)
               for b, speed in zip(bodies, speeds)]
     parts = Parts(model, mechanism, bodies, joints)
-    driven = mechanism.actuated
     for effect in model.effects:
         if effect.name in OF_LOOP:
             parts.notes.append(f"{effect.name} is of the position loop: the export takes the torque that acts")
             continue
         if effect.shapes.get("heard_by_loop") == 0.0:
             parts.notes.append(f"{effect.name} is of the log alone: a loop takes the joint's angle, not the encoder's")
-        if effect.name not in (*ADDED, *HELD, *LEFT):
-            raise InputError(where, f"has the effect {effect.name}, whose law is in a package of yours: no export "
-                             "knows it", REMEDY)
-        at = [effect.joint - 1] if effect.joint else list(driven)
-        own = [joints[j] for j in at]
-        for part, size in ADDED.get(effect.name, {}).items():
-            for joint in own:
-                setattr(joint, part, getattr(joint, part) + effect.sizes[size])
-        if effect.name in LEFT or (effect.name in HELD and not HELD[effect.name](parts, effect, own, at)):
+        if not _hold(parts, effect, where):
             parts.left.append(effect)
     _rest(parts, where)
     return parts
@@ -148,92 +138,76 @@ def _rest(parts: Parts, where: str) -> None:
                              f"alone has {least:.3g}", REMEDY)
 
 
-Hold = Callable[[Parts, EffectValue, "list[JointParts]", "list[int]"], bool]
-
-
-def _drag(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].drag += max(effect.sizes["drag"], 0.0)
-    return effect.sizes["drag"] >= 0.0
-
-
-def _delay(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    late = -effect.sizes["delay"]
-    for joint in joints:
-        joint.delay_s = max(late, 0.0)
-    return late >= 0.0
-
-
-def _skew(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    parts.imu_delay_s = max(effect.sizes["skew"], 0.0)
-    return effect.sizes["skew"] >= 0.0
-
-
-def _asymmetric(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    """F (1 + s) / 2 + B (1 + s) / 2 v: half of F is a constant, half Coulomb friction; B |v| / 2 is left."""
-    half, slope = 0.5 * effect.sizes["coulomb_difference"], 0.5 * effect.sizes["viscous_difference"]
-    joints[0].coulomb += half
-    joints[0].preload -= half
-    joints[0].viscous += slope
-    return slope == 0.0
-
-
-def _stop(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    share, side = effect.shapes["angle_share"], effect.shapes["angle_share"] > 0
-    reach = abs(parts.model.reach[at[0]][1 if side else 0])
-    joints[0].stops.append((effect.sizes["stiffness"], share * reach))
+def _hold(parts: Parts, effect: EffectValue, where: str) -> bool:
+    """Make parts of an effect. Returns whether nothing of it is left; raises `InputError` for one that is not ours."""
+    size, shape, j = effect.sizes, effect.shapes, (effect.joint or 1) - 1
+    joint, joints = parts.joints[j], [parts.joints[k] for k in ([j] if effect.joint else parts.mechanism.actuated)]
+    match effect.name:
+        case "joint_stiffness":
+            joint.stiffness += size["stiffness"]
+            joint.preload += size["preload"]
+        case "quadratic_drag":
+            joint.drag += max(size["drag"], 0.0)
+            return size["drag"] >= 0.0
+        case "rotor_inertia":
+            joint.armature += size["inertia"]
+        case "joint_elasticity" | "backlash":  # what the gear twists is left
+            joint.viscous += size["motor_viscous"]
+            joint.coulomb += size["motor_coulomb"]
+            joint.armature += size["motor_inertia"]
+            return False
+        case "torque_offset":
+            for one in joints:
+                one.offset += size["offset"]
+        case "torque_delay":
+            for one in joints:
+                one.delay_s = max(-size["delay"], 0.0)
+            return size["delay"] <= 0.0
+        case "sensor_time_skew":
+            parts.imu_delay_s = max(size["skew"], 0.0)
+            return size["skew"] >= 0.0
+        case "asymmetric_friction":
+            # F (1 + s) / 2 + B (1 + s) / 2 v: half of F is a constant, half Coulomb friction; B |v| / 2 is left
+            half, slope = 0.5 * size["coulomb_difference"], 0.5 * size["viscous_difference"]
+            joint.coulomb += half
+            joint.preload -= half
+            joint.viscous += slope
+            return slope == 0.0
+        case "end_stop_contact":
+            share = shape["angle_share"]
+            joint.stops.append((size["stiffness"], share * abs(parts.model.reach[j][1 if share > 0 else 0])))
+        case "torque_ripple":
+            sine, cosine = size["sine_amplitude"], size["cosine_amplitude"]
+            order = shape["order"] * parts.model.gear_ratio
+            joint.ripples.append((math.hypot(sine, cosine), order, math.atan2(cosine, sine)))
+        case "presliding_friction":
+            joint.bristles.append((size["level"], size["bristle_damping"], shape["displacement"]))
+        case "base_compliance":
+            if size["mobility"] > 0.0:
+                mass, omega = 1.0 / size["mobility"], 2.0 * math.pi * shape["frequency"]
+                parts.stand = Stand(mass, mass * omega**2, 2.0 * shape["damping_ratio"] * omega * mass)
+        case "imu_lever_arm":
+            parts.imu_excess_m += size["excess"]
+        case "imu_misalignment":
+            parts.imu_turn_rad += size["angle"]
+        case "encoder_scale":
+            joint.scale += size["scale_error"]
+        case name if name in LEVELS:
+            joint.further_level += abs(next(iter(size.values())))
+            return False
+        case name if name in LEFT:
+            return False
+        case _:
+            raise InputError(where, f"has the effect {effect.name}, whose law is in a package of yours: no export "
+                             "knows it", REMEDY)
     return True
 
 
-def _ripple(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    sine, cosine = effect.sizes["sine_amplitude"], effect.sizes["cosine_amplitude"]
-    order = effect.shapes["order"] * parts.model.gear_ratio
-    joints[0].ripples.append((math.hypot(sine, cosine), order, math.atan2(cosine, sine)))
-    return True
-
-
-def _bristles(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].bristles.append((effect.sizes["level"], effect.sizes["bristle_damping"], effect.shapes["displacement"]))
-    return True
-
-
-def _stand(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    if effect.sizes["mobility"] > 0.0:
-        mass, omega = 1.0 / effect.sizes["mobility"], 2.0 * math.pi * effect.shapes["frequency"]
-        parts.stand = Stand(mass, mass * omega**2, 2.0 * effect.shapes["damping_ratio"] * omega * mass)
-    return True
-
-
-def _lever(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    parts.imu_excess_m += effect.sizes["excess"]
-    return True
-
-
-def _turn(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    parts.imu_turn_rad += effect.sizes["angle"]
-    return True
-
-
-def _levels(parts: Parts, effect: EffectValue, joints: list[JointParts], at: list[int]) -> bool:
-    joints[0].further_level += abs(next(iter(effect.sizes.values())))
-    return False
-
-
-MOTOR_SIDE = {"viscous": "motor_viscous", "coulomb": "motor_coulomb", "armature": "motor_inertia"}
-ADDED: dict[str, dict[str, str]] = {
-    "joint_stiffness": {"stiffness": "stiffness", "preload": "preload"}, "rotor_inertia": {"armature": "inertia"},
-    "joint_elasticity": MOTOR_SIDE, "backlash": MOTOR_SIDE, "torque_offset": {"offset": "offset"},
-    "encoder_scale": {"scale": "scale_error"}}
-"""Effect to the number of a joint's parts that each of its sizes is added to."""
-HELD: dict[str, Hold] = {
-    "quadratic_drag": _drag, "torque_delay": _delay, "sensor_time_skew": _skew, "asymmetric_friction": _asymmetric,
-    "end_stop_contact": _stop, "torque_ripple": _ripple, "presliding_friction": _bristles, "base_compliance": _stand,
-    "imu_lever_arm": _lever, "imu_misalignment": _turn, "stribeck_friction": _levels, "friction_drift": _levels,
-    "load_dependent_friction": _levels, "load_stribeck_friction": _levels, "quadratic_load_friction": _levels,
-    "directional_load_friction": _levels}
-"""Effect to what makes parts of it; that returns whether nothing is left of it."""
-LEFT = ("joint_elasticity", "backlash", "torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias",
-        "encoder_offset", "encoder_eccentricity")
-"""Effects that the module applies whatever the parts hold of them: a gear's twist, errors of readings."""
+LEVELS = ("stribeck_friction", "friction_drift", "load_dependent_friction", "load_stribeck_friction",
+          "quadratic_load_friction", "directional_load_friction")
+"""Effects that change a joint's dry friction as it moves."""
+LEFT = ("torque_saturation", "gyro_bias", "gyro_scale", "accelerometer_bias", "encoder_offset", "encoder_eccentricity")
+"""Effects of which no part holds anything."""
 OF_LOOP = ("command_delay", "gain_scale", "missing_integral", "input_limit", "supply_sag", "command_dead_band",
            "command_steps")
 """Effects of what makes the torque, which an export is given."""

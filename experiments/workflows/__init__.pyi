@@ -15,11 +15,11 @@ from .executor import Executor as Executor
 from .executor import choose_executor as choose_executor
 from .export import OF_MODELS as OF_MODELS
 from .export import OF_RUNS as OF_RUNS
-from .export import Wanted as Wanted
 from .export import Written as Written
 from .export import check_wanted as check_wanted
+from .export import export_file as export_file
+from .export import export_folder as export_folder
 from .export import export_kind as export_kind
-from .export import export_model_as as export_model_as
 from .fit import Fitted as Fitted
 from .fit import fit_runs as fit_runs
 from .fit_each import Refit as Refit

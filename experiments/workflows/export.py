@@ -1,4 +1,4 @@
-"""`export_model_as`: a model as the files of another simulator, and in words what they hold."""
+"""A model as the files of another simulator, and in words what they hold."""
 
 from __future__ import annotations
 
@@ -18,19 +18,6 @@ OF_RUNS, OF_MODELS = ("csv", "parquet", "mat", "ros2"), ("mjcf", "urdf", "mujoco
 ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
            ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
 """Ending of a file's name -> its format."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Contents of a model's files in addition to it."""
-
-    starts: Prepared | None = None
-    """Runs whose first states leg.xml keeps."""
-    samples: int = 0
-    """Models more, drawn by the joint covariance from `seed`."""
-    seed: int = 1
-    limits: Limits | None = None
-    """Of a rig, for URDF."""
 
 
 @dataclass(frozen=True)
@@ -59,28 +46,27 @@ def check_wanted(kind: str, starts: bool, samples: int) -> None:
             raise InputError(flag, "is for --to mujoco", "leave it out")
 
 
-def export_model_as(kind: str, model: Model, where: str, out: Path | str, wanted: Wanted = Wanted()) -> Written:
-    """Write `model`, which `where` names, to the file or folder `out`. Raises `InputError` naming what no format can
-    hold."""
-    if kind == "mujoco":
-        return _folder(model, where, Path(out), wanted)
-    text, notes = export_model(model, kind, where, wanted.limits)
+def export_file(kind: str, model: Model, where: str, out: Path | str, limits: Limits | None = None) -> Written:
+    """Write `model`, which `where` names, as one file, with the `limits` of a rig in URDF. Raises `InputError` naming
+    what the format cannot hold."""
+    text, notes = export_model(model, kind, where, limits)
     write_text(out, text)
     return Written(f"{out}: {kind.upper()} model of {where}", tuple(notes))
 
 
-def _folder(model: Model, where: str, out: Path, wanted: Wanted) -> Written:
-    """leg.xml and leg.py, and drawn models."""
+def export_folder(model: Model, where: str, out: Path, runs: Prepared | None = None, count: int = 0, seed: int = 1
+                  ) -> Written:
+    """Write leg.xml, which keeps the first states of `runs`, leg.py, and `count` models drawn from `seed`. Raises
+    `InputError`."""
     command = command_line() or "legid export"
-    starts = [] if wanted.starts is None else starts_of(model, wanted.starts)
+    starts = [] if runs is None else starts_of(model, runs)
     notes = write_simulator(model, where, out, command, starts)
     kept = f" with the first states of {len(starts)} runs" if starts else ""
     lines = [f"{out}: leg.xml{kept} and leg.py of {where}"]
-    if wanted.samples:
-        samples = draw_models(model, where, wanted.samples, wanted.seed)
+    if count:
+        samples = draw_models(model, where, count, seed)
         write_samples(samples, where, out, command)
         again = f", {samples.redrawn} draws that no leg can have left out" if samples.redrawn else ""
-        lines.append(f"{out}: samples.csv, {wanted.samples} models below samples, batch.py{again}")
-        notes = [*notes, *([f"not determined, kept at the model's value: {', '.join(samples.held)}"]
-                           if samples.held else [])]
+        lines.append(f"{out}: samples.csv, {count} models below samples, batch.py{again}")
+        notes += [f"not determined, kept at the model's value: {', '.join(samples.held)}"] if samples.held else []
     return Written("\n".join([*lines, f"Next: python {shlex.quote(str(out / 'leg.py'))} RUN.csv"]), tuple(notes))
