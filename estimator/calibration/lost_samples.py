@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
 from estimator.calibration.column_faults import (
@@ -62,17 +63,18 @@ def find_lost(data: Dataset, mechanism: Mechanism, options: FitOptions) -> LostS
     if still.blocks < 2 * LEAST_BLOCKS:
         return None
     best: tuple[float, LostSamples] | None = None
+    blocks = np.arange(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
+    unmoved = still.left(still, blocks)
     for columns, group in _groups(mechanism, options):
         moved = {count: _Rows(_moved(whole, group, count), mechanism, options) for count in range(-MOST, MOST + 1)
                  if count}
+        delayed = np.min([one.left(one, blocks) for one in moved.values()], axis=0)
         for count, rows in moved.items():
-            blocks = range(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
-            gains = [still.left(still, k) / still.left(rows, k) for k in blocks]
-            block = LEAST_BLOCKS + int(np.argmax(gains))
-            delayed = min(one.left(one, block) for one in moved.values()) / still.left(rows, block)
-            if min(max(gains) / BETTER, delayed / THAN_DELAYED) > 1.0 and (best is None or max(gains) > best[0]):
-                place = still.row(rows, block)
-                best = max(gains), LostSamples(columns, min(place, len(data) - 1), count)
+            left = still.left(rows, blocks)
+            k = int(np.argmin(left / unmoved))
+            gain = float(unmoved[k] / left[k])
+            if min(gain / BETTER, delayed[k] / left[k] / THAN_DELAYED) > 1.0 and (best is None or gain > best[0]):
+                best = gain, LostSamples(columns, min(still.row(rows, blocks[k]), len(data) - 1), count)
     return None if best is None else best[1]
 
 
@@ -125,13 +127,13 @@ class _Rows:
         parts = self.rows[:self.blocks * self.length].reshape(self.blocks, self.length, *self.rows.shape[1:])
         self.sums: FloatArray = np.cumsum(np.einsum("wlna,wlnb->wnab", parts, parts), axis=0)
 
-    def left(self, behind: _Rows, block: int) -> float:
-        """Sum of squares of the residual with the rows of `behind` from that block on, without those around it."""
-        gram = self._gram(behind, block)
-        found = _solved(gram)
-        return float(gram[-1, -1] - found @ gram[:-1, -1])
+    def left(self, behind: _Rows, blocks: NDArray[np.intp]) -> FloatArray:
+        """Sums of squares of the residual with the rows of `behind` from each of the `blocks` on, without those around
+        it."""
+        gram = self._gram(behind, blocks)
+        return np.asarray(gram[:, -1, -1] - np.einsum("wa,wa->w", _solved(gram), gram[:, :-1, -1]))
 
-    def row(self, behind: _Rows, block: int) -> int:
+    def row(self, behind: _Rows, block: np.intp) -> int:
         """First sample of the run that is better taken from `behind`, by parameters that both parts give."""
         found = np.append(_solved(self._gram(behind, block)), -1.0)
         squares = [np.sum((one.rows @ found) ** 2 * self.weights, axis=1) for one in (self, behind)]
@@ -144,15 +146,15 @@ class _Rows:
         torque = self.sums[-1][:, -1, -1]
         return np.asarray(1.0 / np.maximum(torque, 0.1 * max(float(torque.max()), 1e-300)))
 
-    def _gram(self, behind: _Rows, block: int) -> FloatArray:
+    def _gram(self, behind: _Rows, block: np.intp | NDArray[np.intp]) -> FloatArray:
         total = behind.sums[-1] - behind.sums[block + AROUND - 1] + self.sums[block - AROUND - 1]
-        return np.asarray(np.einsum("n,nab->ab", self.weights, total))
+        return np.asarray(np.einsum("n,...nab->...ab", self.weights, total))
 
 
 def _solved(gram: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
-    scaled = gram[:-1, :-1] / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(scaled, gram[:-1, -1] / scale) / scale)
+    scale = np.sqrt(np.maximum(np.einsum("...aa->...a", gram)[..., :-1], 1e-300))
+    scaled = gram[..., :-1, :-1] / (scale[..., None] * scale[..., None, :]) + 1e-9 * np.eye(scale.shape[-1])
+    return np.asarray(np.linalg.solve(scaled, (gram[..., :-1, -1] / scale)[..., None])[..., 0] / scale)
 
 
 def lost_text(lost: LostSamples, time_s: float) -> str:
