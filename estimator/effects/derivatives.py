@@ -12,6 +12,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Joined, LawEffect, Points, StateEffect, View
 from estimator.effects.loop_effect import MOTION_STEPS, LoopEffect, central, moved_sides
+from estimator.effects.state_torque import StateTorque
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 STEPS = {**MOTION_STEPS, "sign": 1e-4, "state": 1e-4}
@@ -32,7 +33,10 @@ def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, join
         return effect.slopes(around, size, view) if j == own else {}
     found = {}
     for name in (*FEATURES, "sign"):
-        up, down = (effect.law(_in_state(at, state), size, view) for at in around.sides(name, j))
+        law = effect.moved_by(name, j, around.loops) if isinstance(effect, StateTorque) else effect
+        if isinstance(law, StateTorque) and not law.tables:
+            continue
+        up, down = (law.law(_in_state(at, state), size, view) for at in around.sides(name, j))
         found[name] = np.asarray((up - down) / (2.0 * STEPS[name]))
     return found
 

@@ -97,8 +97,8 @@ def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitO
     if model.mechanism.exchanged:
         raise FitError("the joints of a walker change places with its legs")
     smoothed = parallel_map(lambda k: _smoothed(model, runs[k], options), len(runs), workers)
-    first = samples_of(smoothed)
-    if not any(learn_torque(first, j, model.mechanism) for j in range(model.mechanism.n)):
+    torques, samples = _learn(model, runs, smoothed, options)
+    if not torques:
         return None
     folds = [[k for k in range(len(runs)) if k % min(FOLDS, len(runs)) == turn]
              for turn in range(min(FOLDS, len(runs)))]
@@ -111,9 +111,6 @@ def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitO
                             HORIZONS_S, misfits=False) for k in folds[fold]]
 
     predicted = [one for fold in parallel_map(left_out, len(folds), workers) for one in fold]
-    torques, samples = _learn(model, runs, smoothed, options)
-    if not torques:
-        return None
     table = tabulate(predicted, smoother=0)
     return Structure(tuple(torques), samples, model.mechanism, table, paired_error(table))
 

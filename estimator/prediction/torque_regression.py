@@ -151,32 +151,34 @@ def learn_torque(samples: Samples, joint: int, mechanism: Mechanism) -> LearntTo
         return None
     tables, correlation = blank_tables(samples.at, joint, mechanism), 1.0
     for finer in (False, True):
-        tables = [refined(t, samples.at) for t in tables] if finer else tables
+        tables, gram = [refined(t, samples.at) for t in tables] if finer else tables, None
         for _ in range(1 + len(tables)):
-            fit = _Fit(samples, joint, tables, weight, correlation)
-            correlation = fit.correlation_time(samples.run)
-            kept = [t for t, share in zip(tables, fit.shares) if share >= LEAST_SHARE * fit.shares.sum()]
-            if len(kept) == len(tables):
+            fit = _Fit(samples, joint, tables, weight, correlation, gram)
+            correlation, gram = fit.correlation_time(samples.run), fit.gram
+            kept = fit.shares >= LEAST_SHARE * fit.shares.sum()
+            if kept.all():
                 break
-            tables = kept
-    fit = _Fit(samples, joint, tables, weight, correlation)
+            mask = np.append(True, np.repeat(kept, [t.values.size for t in tables]))
+            tables, gram = [t for t, k in zip(tables, kept) if k], gram[np.ix_(mask, mask)]
+    fit = _Fit(samples, joint, tables, weight, correlation, gram)
     if fit.power < LEAST_EXPLAINED * (fit.power + fit.noise):
         return None
     return fit.told(samples.run, float(samples.level[joint]))
 
 
 class _Fit:
-    """Values of some tables at one joint, fitted to the samples under their `weight` (N,)."""
+    """Values of some tables at one joint, fitted to the samples under their `weight` (N,); `gram` of their columns, if
+    known."""
 
-    def __init__(self, samples: Samples, joint: int, tables: Sequence[Table], weight: FloatArray, correlation: float
-                 ) -> None:
+    def __init__(self, samples: Samples, joint: int, tables: Sequence[Table], weight: FloatArray, correlation: float,
+                 gram: FloatArray | None) -> None:
         self.joint, self.tables, self.correlation = joint, tables, correlation
         self.columns = weight[:, None] * columns_of(tables, samples.at, joint)
         self.residual = weight * samples.residual[:, joint]
         self.count = float(np.sum(weight**2))
         stops = 1 + np.cumsum([t.values.size for t in tables], dtype=int)
         self.places = [slice(int(stop) - t.values.size, int(stop)) for stop, t in zip(stops, tables)]
-        self.gram = self.columns.T @ self.columns
+        self.gram = self.columns.T @ self.columns if gram is None else gram
         self.centre = self.columns.T @ weight / self.count
         square = float(self.residual @ self.residual)
         self.mean, self.covariance, self.noise = maximise_evidence(
