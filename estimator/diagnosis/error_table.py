@@ -115,8 +115,9 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
     return judged(models[unit], [run for run, _ in parts], [floor for _, floor in parts], smoothers, rng)
 
 
-def floors_of(unit: Model, runs: Sequence[int], noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
-    """(H, C) what `noise` leaves of model `unit` in each of these `runs`. Raises `FitError` where that diverges."""
+def floors_of(unit: Model, noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
+    """(H, C) what `noise` leaves of model `unit` in each train run. Raises `FitError` where that diverges."""
+    runs = unit.split.train
     seeds = rng.integers(2**63, size=len(runs))
 
     def left(k: int) -> FloatArray:

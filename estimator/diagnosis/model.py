@@ -280,12 +280,15 @@ def run_states(model: Model) -> list[State]:
 
 def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequence[SignalSet] | None = None
            ) -> SmoothedRun:
-    """Motion of a run that the fit has not seen, or of a replicate of it in `signals`, parameters and noise held."""
+    """Motion of a run, or of a replicate of it in `signals`, parameters and noise held; sought from `start`, of a train
+    run by default from the model's own."""
     split = model.split
     own = list(split.runs[run]) if signals is None else list(signals)
     problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
-    start = start or start_motion(problem, own, split.mechanism, split.options)
-    state = smooth_under(problem, replace(model.state, x=start), near=signals is not None)
+    if start is None and run in split.train:
+        start = run_states(model)[split.train.index(run)].x
+    begin = start or start_motion(problem, own, split.mechanism, split.options)
+    state = smooth_under(problem, replace(model.state, x=begin), near=start is not None)
     rest = problem.stiction(state.noise)
     return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),
                        replace(state, noise=state.noise.levels()))

@@ -190,7 +190,7 @@ def least_error(context: DiagnosisContext, found: Sequence[Explanation]) -> floa
     none can be simulated."""
     with suppress(FitError):
         best = by_error(first_of_each(found))
-        table = train_table(context, best, floor_of_best(context, best, context.split.train))
+        table = train_table(context, best, floor_of_best(context, best))
         return min(table.error(k) for k in range(1 + len(best)))
     return np.inf
 
