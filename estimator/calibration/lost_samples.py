@@ -131,7 +131,7 @@ class _Rows:
         """Sums of squares of the residual with the rows of `behind` from each of the `blocks` on, without those around
         it."""
         gram = self._gram(behind, blocks)
-        return np.asarray(gram[:, -1, -1] - np.einsum("wa,wa->w", _solved(gram), gram[:, :-1, -1]))
+        return gram[:, -1, -1] - np.sum(_solved(gram) * gram[:, :-1, -1], axis=1)
 
     def row(self, behind: _Rows, block: np.intp) -> int:
         """First sample of the run that is better taken from `behind`, by parameters that both parts give."""

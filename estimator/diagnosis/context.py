@@ -260,12 +260,11 @@ def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
-    return [_assessed(context, e) if e.left is NO_TESTS else e for e in explanations]
+    return [replace(e, **_assessed(context, e)) if e.left is NO_TESTS else e for e in explanations]
 
 
-def _assessed(context: DiagnosisContext, e: Explanation) -> Explanation:
-    found = context.once("assessed", e.model, lambda: assessed(context, e))
-    return replace(found, gain=e.gain, by_run=e.by_run, error=e.error)
+def _assessed(context: DiagnosisContext, e: Explanation) -> dict[str, Any]:
+    return context.once("assessed", e.model, lambda: assessed(context, e))
 
 
 def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:
@@ -284,8 +283,8 @@ def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) ->
     return context.biases[count]
 
 
-def assessed(context: DiagnosisContext, explanation: Explanation) -> Explanation:
-    """Explanation with its scores on the train runs."""
+def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, Any]:
+    """What an explanation has of its scores on the train runs."""
     model = explanation.model
     scores = score_train(model, context.candidates)
     p = model.problem.mechanism.p
@@ -295,10 +294,10 @@ def assessed(context: DiagnosisContext, explanation: Explanation) -> Explanation
     keys = explanation.keys
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
-    return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
-                   within=within_tolerance(model),
-                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
-                   scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
+    return dict(left=left, has_residual=detected(context, left, keys), further=further,
+                within=within_tolerance(model), inflation=own_inflation(scores, free, left.scatter),
+                determined=determined(scores, free),
+                scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
 
 
 def within_tolerance(model: Model) -> frozenset[str]:

@@ -60,10 +60,11 @@ class _Rows:
         """Row of a model, which is added where it is new; NOMINAL of none."""
         if model is None:
             return NOMINAL
-        known = next((k for k, one in enumerate(self.models) if one is model), None)
-        if known is None:
-            self.models.append(model)
-        return len(self.models) - 1 if known is None else known
+        for k, one in enumerate(self.models):
+            if one is model:
+                return k
+        self.models.append(model)
+        return len(self.models) - 1
 
 
 def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None) -> FittedFamily:

@@ -12,10 +12,10 @@ from daq import FloatArray
 from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.error_table import ErrorTable, floor_of, judged, sensors_of
 from estimator.diagnosis.model import Model, smooth
-from estimator.diagnosis.result import SensorGain, ShortRuns, Trace
+from estimator.diagnosis.result import SensorGain, Trace
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
-from estimator.prediction import SHORT_S, FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
+from estimator.prediction import FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
 
 
 @dataclass(frozen=True)
@@ -85,16 +85,6 @@ def _trace(run: PredictedRun, names: tuple[str, ...]) -> Trace:
     before, after = (np.where(np.isnan(y), measured.mean(axis=-1, keepdims=True), y)
                      for y in run.simulated[:, 0, rows])
     return Trace(run.run, run.time_s, *(dict(zip(names, y)) for y in (measured, before, after)))
-
-
-def in_pieces(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng: np.random.Generator, noise: FloorNoise
-              ) -> ShortRuns | None:
-    """The gain in pieces of SHORT_S; None where they diverge."""
-    try:
-        gain = measure_gain(extended, smoothed, rng, noise, SHORT_S)
-    except FitError:
-        return None
-    return ShortRuns(SHORT_S, gain.sensors, gain.closed, gain.ci95)
 
 
 def _closed(table: ErrorTable, blocks: NDArray[np.intp]) -> float | None:

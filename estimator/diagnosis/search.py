@@ -45,7 +45,7 @@ from estimator.diagnosis.model import (
     predicted_train,
     refit,
 )
-from estimator.diagnosis.train_errors import floor_of_best, train_table
+from estimator.diagnosis.train_errors import train_table
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
@@ -109,7 +109,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
     """
     best = by_error(first_of_each(found))
     try:
-        table = train_table(context, best, floor_of_best(context, best))
+        table = train_table(context, best)
     except FitError:
         return Promise(True, True)
     counts = np.array([0, *(len(e.model.effects) for e in best)])
@@ -219,11 +219,8 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
         model = fit(k)
         return None if model is None else model.state
 
-    def model_of(start: Start, state: State) -> Model:
-        effects = tuple(e for e, _ in start)
-        return Model(split, state, split.problem(split.train, angle_range, effects))
-
-    return [None if state is None else model_of(start, state)
+    return [None if state is None else
+            Model(split, state, split.problem(split.train, angle_range, [e for e, _ in start]))
             for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
 
 

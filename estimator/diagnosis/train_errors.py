@@ -39,16 +39,18 @@ def noise_of(context: DiagnosisContext, model: Model) -> FloorNoise:
     return context.once("noise", model, lambda: noise_floor(model))
 
 
-def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: Floor) -> ErrorTable:
-    """Errors of the nominal model and of `found`, in this order, on the train runs, in units of the `floor`.
+def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: Floor | None = None
+                ) -> ErrorTable:
+    """Errors of the nominal model and of `found`, in this order, on the train runs, in units of the `floor`, by
+    default that of the best.
 
     Each run is predicted by the fit to the other train runs. Raises `FitError`.
     """
-    train = context.split.train
+    (unit, floors), train = floor or floor_of_best(context, found), context.split.train
     every = [left_out_runs(context, context.nominal, context.own_scores, train),
              *(left_out_runs(context, e.model, e.scores, train) for e in found)]
     runs = [reduce(together, [one[run] for one in every]) for run in train]
-    return judged(floor[0], runs, floor[1], range(len(every)), context.rng)
+    return judged(unit, runs, floors, range(len(every)), context.rng)
 
 
 def left_out_runs(context: DiagnosisContext, model: Model, scores: Sequence[Score], runs: Sequence[int]

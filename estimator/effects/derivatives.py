@@ -20,23 +20,21 @@ STEPS = {**MOTION_STEPS, "sign": 1e-4, "state": 1e-4}
 FEATURES = {"q": ANGLE, "v": RATE, "a": ACCEL}
 
 
-def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, joint: int | None = None,
+def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, joint: int,
               state: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Derivatives (...) of an effect's law by the motion of a `joint`, by default its own.
+    """Derivatives (...) of an effect's law by the motion of a `joint`.
 
     They are by angle, rate, acceleration and, where it feels that, smoothed sign. `state` z (K + 1,) is that at the
     ends of the intervals.
     """
-    own = effect.joint or 0
-    j = own if joint is None else joint
     if isinstance(effect, LoopEffect):
-        return effect.slopes(around, size, view) if j == own else {}
+        return effect.slopes(around, size, view) if joint == (effect.joint or 0) else {}
     found = {}
     for name in (*FEATURES, "sign"):
-        law = effect.moved_by(name, j, around.loops) if isinstance(effect, StateTorque) else effect
+        law = effect.moved_by(name, joint, around.loops) if isinstance(effect, StateTorque) else effect
         if isinstance(law, StateTorque) and not law.tables:
             continue
-        up, down = (law.law(_in_state(at, state), size, view) for at in around.sides(name, j))
+        up, down = (law.law(_in_state(at, state), size, view) for at in around.sides(name, joint))
         found[name] = np.asarray((up - down) / (2.0 * STEPS[name]))
     return found
 

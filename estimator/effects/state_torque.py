@@ -95,9 +95,7 @@ class StateTorque(TorqueEffect):
         self.tables, self.constant = tuple(tables), constant
 
     def felt(self, count: int) -> Iterable[int]:
-        found = {variable.joint for table in self.tables for variable in table.variables
-                 if variable.kind != "motor torque"}
-        return sorted(found | ({self.joint or 0} if any(table.directed for table in self.tables) else set()))
+        return range(count)
 
     def moved_by(self, field: str, joint: int, loops: bool) -> StateTorque:
         """Its tables that change with this field of `Points` at a joint; with `loops` its motor torque changes, too."""
