@@ -118,7 +118,8 @@ class Motion:
 
 def as_it_is(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Reading:
     """Least squares of the records as they are read now. Raises `FitError`."""
-    return _read(_filtered(datasets, mechanism, options), mechanism, options, nothing_changed(mechanism.n))
+    motion = filtered_motion(datasets, mechanism, options).thinned()
+    return _read(motion, mechanism, options, nothing_changed(mechanism.n))
 
 
 def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
@@ -127,7 +128,7 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
 
     On the IMU path the pivot's columns are not corrected: the accelerometer checks them. Raises `FitError`.
     """
-    motion = _filtered(datasets, mechanism, options)
+    motion = filtered_motion(datasets, mechanism, options).thinned()
     nothing = _read(motion, mechanism, options, nothing_changed(mechanism.n))
     imu = options.sensors == "imu"
     found = [_read(motion, mechanism, options, remedy)
@@ -153,10 +154,6 @@ def _better(cured: Reading, nothing: Reading) -> bool:
 
 def nothing_changed(n: int) -> Remedy:
     return Remedy("", "", np.eye(n), np.zeros(n), np.eye(n), 0)
-
-
-def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Motion:
-    return filtered_motion(datasets, mechanism, options).thinned()
 
 
 def filtered_motion(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Motion:

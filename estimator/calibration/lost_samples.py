@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
 from estimator.calibration.column_faults import (
@@ -61,23 +62,24 @@ def find_lost(data: Dataset, mechanism: Mechanism, options: FitOptions) -> LostS
     still = _Rows(whole, mechanism, options)
     if still.blocks < 2 * LEAST_BLOCKS:
         return None
-    blocks = range(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
     best: tuple[float, LostSamples] | None = None
+    blocks = np.arange(LEAST_BLOCKS, still.blocks - LEAST_BLOCKS)
+    unmoved = still.left(still, blocks)
     for columns, group in _groups(mechanism, options):
-        moved, places = dict[int, _Rows](), dict[int, tuple[float, int]]()
+        moved, gains = dict[int, _Rows](), dict[int, FloatArray]()
         counts, fine = [sign * count for count in COUNTS for sign in (-1, 1)], 0
         for _ in range(2):
             for count in set(counts) - moved.keys():
                 moved[count] = rows = _Rows(_moved(whole, group, count), mechanism, options)
-                gains = [still.left(still, k) / still.left(rows, k) for k in blocks]
-                places[count] = max(gains), LEAST_BLOCKS + int(np.argmax(gains))
-            fine = max(places, key=lambda count: places[count][0])
+                gains[count] = unmoved / still.left(rows, blocks)
+            fine = max(gains, key=lambda count: gains[count].max())
             counts = [count for count in range(-COUNTS[-1], COUNTS[-1]) if count * fine > 0 and
                       0.7 * abs(fine) < abs(count) < 1.4 * abs(fine)]
-        gain, block = places[fine]
-        delayed = min(one.left(one, block) for one in moved.values()) / still.left(moved[fine], block)
+        k = int(np.argmax(gains[fine]))
+        gain, block = float(gains[fine][k]), blocks[k : k + 1]
+        delayed = min(one.left(one, block)[0] for one in moved.values()) * gain / unmoved[k]
         if min(gain / BETTER, delayed / THAN_DELAYED) > 1.0 and (best is None or gain > best[0]):
-            place = still.row(moved[fine], block)
+            place = still.row(moved[fine], blocks[k])
             best = gain, LostSamples(columns, min(place, len(data) - 1), fine)
     return None if best is None else best[1]
 
@@ -131,13 +133,13 @@ class _Rows:
         parts = self.rows[:self.blocks * self.length].reshape(self.blocks, self.length, *self.rows.shape[1:])
         self.sums: FloatArray = np.cumsum(np.einsum("wlna,wlnb->wnab", parts, parts), axis=0)
 
-    def left(self, behind: _Rows, block: int) -> float:
-        """Sum of squares of the residual with the rows of `behind` from that block on, without those around it."""
-        gram = self._gram(behind, block)
-        found = _solved(gram)
-        return float(gram[-1, -1] - found @ gram[:-1, -1])
+    def left(self, behind: _Rows, blocks: NDArray[np.intp]) -> FloatArray:
+        """Sums of squares of the residual with the rows of `behind` from each of the `blocks` on, without those around
+        it."""
+        gram = self._gram(behind, blocks)
+        return gram[:, -1, -1] - np.sum(_solved(gram) * gram[:, :-1, -1], axis=1)
 
-    def row(self, behind: _Rows, block: int) -> int:
+    def row(self, behind: _Rows, block: np.intp) -> int:
         """First sample of the run that is better taken from `behind`, by parameters that both parts give."""
         found = np.append(_solved(self._gram(behind, block)), -1.0)
         squares = [np.sum((one.rows @ found) ** 2 * self.weights, axis=1) for one in (self, behind)]
@@ -150,15 +152,15 @@ class _Rows:
         torque = self.sums[-1][:, -1, -1]
         return np.asarray(1.0 / np.maximum(torque, 0.1 * max(float(torque.max()), 1e-300)))
 
-    def _gram(self, behind: _Rows, block: int) -> FloatArray:
+    def _gram(self, behind: _Rows, block: np.intp | NDArray[np.intp]) -> FloatArray:
         total = behind.sums[-1] - behind.sums[block + AROUND - 1] + self.sums[block - AROUND - 1]
-        return np.asarray(np.einsum("n,nab->ab", self.weights, total))
+        return np.asarray(np.einsum("n,...nab->...ab", self.weights, total))
 
 
 def _solved(gram: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
-    scaled = gram[:-1, :-1] / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(scaled, gram[:-1, -1] / scale) / scale)
+    scale = np.sqrt(np.maximum(np.einsum("...aa->...a", gram)[..., :-1], 1e-300))
+    scaled = gram[..., :-1, :-1] / (scale[..., None] * scale[..., None, :]) + 1e-9 * np.eye(scale.shape[-1])
+    return np.asarray(np.linalg.solve(scaled, (gram[..., :-1, -1] / scale)[..., None])[..., 0] / scale)
 
 
 def lost_text(lost: LostSamples, time_s: float) -> str:

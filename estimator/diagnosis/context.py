@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ from estimator.score import (
     own_inflation,
 )
 
+T = TypeVar("T")
 Progress = Callable[[str, float], None]
 Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
@@ -66,15 +68,13 @@ class DiagnosisContext:
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters and then of all candidates, one a train run"""
-    left_out: list[tuple[Model, dict[int, PredictedRun]]] = field(default_factory=list)
-    """See `train_errors.left_out_runs`"""
-    extensions: list[tuple[Explanation, Model]] = field(default_factory=list)
-    """See `with_generic`"""
+    made: dict[str, list[tuple[object, Any]]] = field(default_factory=dict)
+    """See `once`"""
     held: dict[bytes, Model] = field(default_factory=dict)
     """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
     and ..."""
     whole: dict[bytes, Model] = field(default_factory=dict)
-    """... with shapes free; see `search.key_of`"""
+    """... of any fit to its end with shapes free; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:
@@ -109,6 +109,15 @@ class DiagnosisContext:
     @property
     def trials(self) -> int:
         return len(self.candidates)
+
+    def once(self, what: str, of: object, make: Callable[[], T]) -> T:
+        """What `make` gives for this object, made once."""
+        kept = self.made.setdefault(what, [])
+        known: list[T] = [found for one, found in kept if one is of]
+        if not known:
+            known.append(make())
+            kept.append((of, known[0]))
+        return known[0]
 
     def gain(self, tests: ScoreTests, i: int) -> float:
         """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
@@ -222,11 +231,8 @@ def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests)
 
 def with_generic(context: DiagnosisContext, explanation: Explanation) -> Model:
     """The model of an assessed explanation with generic terms, its own where none is significant; fitted once."""
-    known = next((model for one, model in context.extensions if one.left is explanation.left), None)
-    if known is None:
-        known = generic_extension(context, explanation.model, explanation.left) or explanation.model
-        context.extensions.append((explanation, known))
-    return known
+    return context.once("generic", explanation.left, lambda: generic_extension(
+        context, explanation.model, explanation.left) or explanation.model)
 
 
 def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:
@@ -254,11 +260,11 @@ def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
-    new = [e.model for e in explanations if e.left is NO_TESTS]
-    every = [score_train(m, context.candidates) for m in new]
-    biases = iter([bias_of(context, m, scores) for m, scores in zip(new, every)])
-    own = iter(every)
-    return [assessed(context, e, next(own), next(biases)) if e.left is NO_TESTS else e for e in explanations]
+    return [replace(e, **_assessed(context, e)) if e.left is NO_TESTS else e for e in explanations]
+
+
+def _assessed(context: DiagnosisContext, e: Explanation) -> dict[str, Any]:
+    return context.once("assessed", e.model, lambda: assessed(context, e))
 
 
 def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:
@@ -277,21 +283,21 @@ def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) ->
     return context.biases[count]
 
 
-def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[Score],
-             bias: Sequence[FloatArray]) -> Explanation:
-    """Explanation with its `scores` on the train runs."""
+def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, Any]:
+    """What an explanation has of its scores on the train runs."""
     model = explanation.model
+    scores = score_train(model, context.candidates)
     p = model.problem.mechanism.p
     own = [p] * (model.problem.parameter_count - p)
-    left = tests_of(model, scores, [np.insert(one, own, 0.0) for one in bias])
+    left = tests_of(model, scores, [np.insert(one, own, 0.0) for one in bias_of(context, model, scores)])
     free = np.diag(model.state.covariance) > 0.0
     keys = explanation.keys
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
-    return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
-                   within=within_tolerance(model),
-                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
-                   scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
+    return dict(left=left, has_residual=detected(context, left, keys), further=further,
+                within=within_tolerance(model), inflation=own_inflation(scores, free, left.scatter),
+                determined=determined(scores, free),
+                scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
 
 
 def within_tolerance(model: Model) -> frozenset[str]:

@@ -76,7 +76,7 @@ def without(model: Model, faults: Sequence[SmallFault]) -> RunSplit:
     runs: list[tuple[SignalSet, ...]] = []
     for i, own in enumerate(split.runs):
         if i in states:
-            problem, state = split.problem([i], model.problem.stage.angle_range, model.effects), states[i]
+            problem, state = model.on(i), states[i]
         else:
             one = smooth(model, i)
             problem, state = one.problem, one.state

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis.decision_rule import LEAST_S
@@ -60,6 +61,12 @@ class RunSplit:
         itself."""
         found = [fold for fold in folds(len(self.runs)) if fold != self.test]
         return found if len(found) > 1 else [self.train]
+
+    @property
+    def parts(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
+        """Each train run with its samples among those of all."""
+        lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in self.train]
+        return zip(self.train, np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))
 
     @property
     def has_imu(self) -> bool:

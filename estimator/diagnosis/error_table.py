@@ -115,8 +115,9 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
     return judged(models[unit], [run for run, _ in parts], [floor for _, floor in parts], smoothers, rng)
 
 
-def floors_of(unit: Model, runs: Sequence[int], noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
-    """(H, C) what `noise` leaves of model `unit` in each of these `runs`. Raises `FitError` where that diverges."""
+def floors_of(unit: Model, noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
+    """(H, C) what `noise` leaves of model `unit` in each train run. Raises `FitError` where that diverges."""
+    runs = unit.split.train
     seeds = rng.integers(2**63, size=len(runs))
 
     def left(k: int) -> FloatArray:
@@ -177,13 +178,13 @@ def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, 
     sticks leaves ten times as much in one as in another. The error of a pivot's angle without an encoder is about its
     mean, as in `tabulate`.
     """
-    split, rng = model.split, np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     rows, whole = [channel_names(fitted.problem).index(c) for c in sensors_of(model)], np.isinf(horizons_s)
     unread = [k for k, row in enumerate(rows) if row < model.problem.n and not model.problem.has_encoder[row]]
 
     def drawn(horizons_s: Sequence[float]) -> FloatArray:
-        found = floor_errors(fitted, rng, horizons_s, lambda signals: split.problem(
-            [run], model.problem.stage.angle_range, model.effects, signals=signals), noise)[:, rows]
+        found = floor_errors(fitted, rng, horizons_s, lambda signals: model.on(run, signals=signals),
+                             noise)[:, rows]
         found[:, unread] -= found[:, unread].mean(axis=-1, keepdims=True)
         return found**2
 

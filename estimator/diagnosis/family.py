@@ -19,10 +19,9 @@ from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure
 from estimator.diagnosis.explanation import Explanation, admissible, by_error, fewest_beyond, is_close, shortlisted
 from estimator.diagnosis.model import Model, deviance, fit_nominal, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
-from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
-from estimator.diagnosis.train_errors import TrainFloor, floor_of_best, train_table
+from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
@@ -61,10 +60,11 @@ class _Rows:
         """Row of a model, which is added where it is new; NOMINAL of none."""
         if model is None:
             return NOMINAL
-        known = next((k for k, one in enumerate(self.models) if one is model), None)
-        if known is None:
-            self.models.append(model)
-        return len(self.models) - 1 if known is None else known
+        for k, one in enumerate(self.models):
+            if one is model:
+                return k
+        self.models.append(model)
+        return len(self.models) - 1
 
 
 def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None) -> FittedFamily:
@@ -73,7 +73,7 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
     shortlist = by_error(shortlisted(found))
     family = Family(rows.of(generic), closest=shortlist[0] if shortlist else None, dominated=context.noise_dominated)
     if any(map(admissible, shortlist)):
-        floor = floor_of_best(context, shortlist, context.split.train)
+        floor = floor_of_best(context, shortlist)
         best, parts = choose_answer(context, shortlist, floor)
         more = with_one_more(context, best[0])
         answer, largest = _answer(context, rows, best, parts, imitates(context, best[0], more))
@@ -89,7 +89,8 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
     tried = (NOMINAL,) if family.answer is None else (NOMINAL, family.answer.row)
     family = replace(family, hidden=tuple(h for row in tried if (h := hidden_motion(rows, row)) is not None))
     told = tuple(with_clock(context, a.best[0]) for a in (family.answer, family.second) if a is not None)
-    return FittedFamily(family, tuple(rows.models), tried[-1], noise_floor(largest or context.nominal), tried, told)
+    noise = noise_of(context, largest or context.nominal)
+    return FittedFamily(family, tuple(rows.models), tried[-1], noise, tried, told)
 
 
 def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation], parts: Sequence[Explanation],
@@ -116,7 +117,7 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
     return replace(explanation, model=replace(again, nuisances=1))
 
 
-def choose_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], floor: TrainFloor
+def choose_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], floor: Floor
                   ) -> tuple[list[Explanation], list[Explanation]]:
     """The best explanations, and the first without each of its effects, by the train runs.
 
@@ -169,7 +170,7 @@ def without_each(context: DiagnosisContext, whole: Explanation, known: Sequence[
 
 
 def second_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], best: Sequence[Explanation],
-                  parts: Sequence[Explanation], floor: TrainFloor
+                  parts: Sequence[Explanation], floor: Floor
                   ) -> tuple[list[Explanation], list[Explanation]] | None:
     """Likeliest explanations with one effect more than `best`, and the first without each effect; None without any.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +12,10 @@ from daq import FloatArray
 from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.error_table import ErrorTable, floor_of, judged, sensors_of
 from estimator.diagnosis.model import Model, smooth
-from estimator.diagnosis.result import SensorGain, ShortRuns, Trace
+from estimator.diagnosis.result import SensorGain, Trace
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
-from estimator.prediction import SHORT_S, FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
+from estimator.prediction import FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,23 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, noise: FloorNoise, horizon_s: float = np.inf
-                 ) -> Gain:
-    """Before, after and floor on the test runs, with the share of the gap closed and its block bootstrap.
+def smoothed_tests(nominal: Model, extended: Model) -> list[list[SmoothedRun]]:
+    """Motion of each test run under both models by the smoother of `legid validate`, then by `smooth`, which holds the
+    noise of the extended fit, so that all explanations have the same weights."""
+    split = extended.split
+
+    def smoothed(k: int) -> list[SmoothedRun]:
+        run, options = split.test[k], replace(split.options, noise=split.known)
+        return [*(smooth_segments(model.fitted, split.names[run], split.runs[run], options, split.starts_s[run])
+                  for model in (nominal, extended)), smooth(extended, run)]
+
+    return parallel_map(smoothed, len(split.test), split.workers)
+
+
+def measure_gain(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng: np.random.Generator,
+                 noise: FloorNoise, horizon_s: float = np.inf) -> Gain:
+    """Before, after and floor on the test runs as `smoothed_tests` has them, with the share of the gap closed and its
+    block bootstrap.
 
     The errors are those of `estimator.prediction`, as `legid validate` has them; the share is by those of an
     `ErrorTable`. Raises `FitError` where the extended model's free run diverges.
@@ -40,11 +55,11 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
     seeds = rng.integers(2**63, size=len(split.test))
 
     def predicted(k: int) -> tuple[PredictedRun, FloatArray]:
-        run = split.test[k]
-        found = predict_run([as_validated(nominal, run), as_validated(extended, run)], [horizon_s], misfits=False)
+        *both, fitted = smoothed[k]
+        found = predict_run(both, [horizon_s], misfits=False)
         if not np.isfinite(found.simulated[1]).all():
             raise FitError("the free run diverges")
-        floor = floor_of(extended, run, smooth(extended, run), seeds[k], [horizon_s], noise, len(seeds))
+        floor = floor_of(extended, split.test[k], fitted, seeds[k], [horizon_s], noise, len(seeds))
         return found, floor.mean(axis=-1)
 
     parts = parallel_map(predicted, len(split.test), split.workers)
@@ -70,23 +85,6 @@ def _trace(run: PredictedRun, names: tuple[str, ...]) -> Trace:
     before, after = (np.where(np.isnan(y), measured.mean(axis=-1, keepdims=True), y)
                      for y in run.simulated[:, 0, rows])
     return Trace(run.run, run.time_s, *(dict(zip(names, y)) for y in (measured, before, after)))
-
-
-def as_validated(model: Model, run: int) -> SmoothedRun:
-    """Motion of the test run `run` by the smoother of `legid validate`; `smooth` holds the noise of the fit, so that
-    all explanations have the same weights."""
-    split = model.split
-    return smooth_segments(model.fitted, split.names[run], split.runs[run],
-                           replace(split.options, noise=split.known), split.starts_s[run])
-
-
-def in_pieces(nominal: Model, extended: Model, noise: FloorNoise, rng: np.random.Generator) -> ShortRuns | None:
-    """The gain in pieces of SHORT_S; None where they diverge."""
-    try:
-        gain = measure_gain(nominal, extended, rng, noise, SHORT_S)
-    except FitError:
-        return None
-    return ShortRuns(SHORT_S, gain.sensors, gain.closed, gain.ci95)
 
 
 def _closed(table: ErrorTable, blocks: NDArray[np.intp]) -> float | None:

@@ -85,6 +85,11 @@ class Model:
         """One size vector an effect."""
         return self.problem.split(self.state.beta)[1]
 
+    def on(self, run: int, candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None
+           ) -> LatentProblem:
+        """Likelihood of one run, or of a replicate of it in `signals`, with the model's effects."""
+        return self.split.problem([run], self.problem.stage.angle_range, self.effects, candidates, signals)
+
     def places(self) -> list[slice]:
         """Slices of the parameter vector with the sizes of each effect."""
         return self.problem.places()
@@ -119,8 +124,7 @@ def fit_nominal(split: RunSplit) -> Model:
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit does not converge, so its residual cannot be tested")
-    lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.train]
-    split = split.with_stiction(dict(zip(split.train, np.split(rest, np.cumsum(lengths)[:-1]))))
+    split = split.with_stiction({i: rest[here] for i, here in split.parts})
     state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()))
     if freed is held:
         state.covariance[free, free] = np.inf
@@ -148,10 +152,8 @@ def stiction_of_test(model: Model) -> dict[int, FloatArray]:
 def begin_afresh(nominal: Model) -> Model:
     """`nominal` with motion, beta and noise levels as a fit would start from them."""
     split = nominal.split
-    signals = split.signals(split.train)
-    free, beta = free_mask(split.mechanism, split.options)
-    state = gentle_start(nominal.problem, signals, split.mechanism, split.options, free, beta)
-    return replace(nominal, state=state)
+    return replace(nominal, state=gentle_start(nominal.problem, split.signals(split.train), split.mechanism,
+                                               split.options, *free_mask(split.mechanism, split.options)))
 
 
 def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30, noise: Noise | None = None,
@@ -191,12 +193,10 @@ def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> Stat
     reverses close to a sample shortens no other run's steps. Raises `FitError`."""
     if problem.stiction(state.noise) is None:
         return converge_motion(problem, state)
-    found, begin = [], 0
-    for i in split.train:
-        here = slice(begin, begin + sum(len(s.time_s) for s in split.runs[i]))
+    found = []
+    for i, here in split.parts:
         own = split.problem([i], problem.stage.angle_range, problem.effects)
         found.append(converge_motion(own, replace(state, x=state.x.of(here), noise=state.noise.at(here))).x)
-        begin = here.stop
     q, v, u = (np.concatenate([getattr(x, name) for x in found]) for name in ("q", "v", "u"))
     return replace(state, x=Latents(q, v, u))
 
@@ -233,12 +233,9 @@ def misfit_by_run(model: Model) -> FloatArray:
 
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
     """Free runs over SHORT_S of each train run from the fitted motion."""
-    split, found = model.split, []
-    for i, state in zip(split.train, run_states(model)):
-        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        one = SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)
-        found.append(predict_run([one], [SHORT_S], misfits=False))
-    return tuple(found)
+    split, states = model.split, zip(model.split.train, run_states(model))
+    every = [SmoothedRun(split.names[i], tuple(split.runs[i]), model.on(i), state) for i, state in states]
+    return tuple(predict_run([one], [SHORT_S], misfits=False) for one in every)
 
 
 def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int]) -> dict[int, PredictedRun]:
@@ -254,11 +251,7 @@ def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int
     if others and free.size:
         beta[free] += total([s.of(free) for s in scores]).covariance() @ np.sum(others, axis=0)
     moved = replace(model, state=replace(model.state, beta=beta))
-    found = {}
-    for run in fold:
-        one = smooth(moved, run)
-        found[run] = predict_run([one], DECIDING_S)
-    return found
+    return {run: predict_run([smooth(moved, run)], DECIDING_S) for run in fold}
 
 
 def deviance(model: Model) -> float:
@@ -268,24 +261,20 @@ def deviance(model: Model) -> float:
 
 def run_states(model: Model) -> list[State]:
     """The fit's state cut into runs."""
-    split, out, begin = model.split, [], 0
-    for i in split.train:
-        length = sum(len(s.time_s) for s in split.runs[i])
-        where = slice(begin, begin + length)
-        x = model.state.x
-        out.append(replace(model.state, x=x.of(where)))
-        begin += length
-    return out
+    return [replace(model.state, x=model.state.x.of(here)) for _, here in model.split.parts]
 
 
 def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequence[SignalSet] | None = None
            ) -> SmoothedRun:
-    """Motion of a run that the fit has not seen, or of a replicate of it in `signals`, parameters and noise held."""
+    """Motion of a run, or of a replicate of it in `signals`, parameters and noise held; sought from `start`, of a train
+    run by default from the model's own."""
     split = model.split
     own = list(split.runs[run]) if signals is None else list(signals)
-    problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
-    start = start or start_motion(problem, own, split.mechanism, split.options)
-    state = smooth_under(problem, replace(model.state, x=start), near=signals is not None)
+    problem = model.on(run, signals=own)
+    if start is None and run in split.train:
+        start = run_states(model)[split.train.index(run)].x
+    begin = start or start_motion(problem, own, split.mechanism, split.options)
+    state = smooth_under(problem, replace(model.state, x=begin), near=start is not None)
     rest = problem.stiction(state.noise)
     return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),
                        replace(state, noise=state.noise.levels()))
@@ -296,7 +285,7 @@ def score_train(model: Model, candidates: Sequence[Candidate]) -> list[Score]:
     split, states = model.split, run_states(model)
 
     def scored(k: int) -> Score:
-        problem = split.problem([split.train[k]], model.problem.stage.angle_range, model.effects, candidates)
+        problem = model.on(split.train[k], candidates)
         return score_at(problem, states[k])
 
     return parallel_map(scored, len(states), split.workers)
@@ -315,7 +304,7 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
 
     def bootstrap_bias(k: int) -> FloatArray | None:
         i, own = split.train[k], np.random.default_rng(seeds[k])
-        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
+        problem = model.on(i)
         found, worst = [], EDGE * per_value(problem, states[k])
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
@@ -323,7 +312,7 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
             again = smooth(model, i, states[k].x, signals)
             if per_value(again.problem, again.state) > worst:
                 continue
-            scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates, signals)
+            scored = model.on(i, candidates, signals)
             found.append(score_alone(scored, again.state))
         return np.mean(found, axis=0) if found else None
 

@@ -59,9 +59,9 @@ def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> Fl
     repeats from run to run: a listed effect, or structure, is no noise."""
     problem, x = model.problem, model.state.x
     e = whole.smoothed(found)
-    run = np.repeat(problem.stage.run, np.diff(problem.ends, prepend=0))
-    start = np.concatenate([[0], problem.ends[:-1]])
-    time = (np.arange(problem.total) - np.repeat(start, np.diff(problem.ends, prepend=0))) * problem.dt
+    lengths = np.diff(problem.ends, prepend=0)
+    run = np.repeat(problem.stage.run, lengths)
+    time = (np.arange(problem.total) - np.repeat(problem.ends - lengths, lengths)) * problem.dt
     torques = driven_columns(problem.torque[:, list(problem.mechanism.actuated)], problem.ends)
     columns, which = state_columns(x.q, x.v, np.column_stack([torques, time]), problem.ends), taken(problem.total)
     return repeated_share(np.where(found.level > 0.0, e[which], 0.0), columns, run[which])

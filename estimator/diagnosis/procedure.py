@@ -43,7 +43,7 @@ from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
-from estimator.diagnosis.train_errors import floor_of_best, train_table
+from estimator.diagnosis.train_errors import train_table
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
@@ -190,7 +190,7 @@ def least_error(context: DiagnosisContext, found: Sequence[Explanation]) -> floa
     none can be simulated."""
     with suppress(FitError):
         best = by_error(first_of_each(found))
-        table = train_table(context, best, floor_of_best(context, best, context.split.train))
+        table = train_table(context, best)
         return min(table.error(k) for k in range(1 + len(best)))
     return np.inf
 

@@ -45,7 +45,7 @@ from estimator.diagnosis.model import (
     predicted_train,
     refit,
 )
-from estimator.diagnosis.train_errors import floor_of_best, train_table
+from estimator.diagnosis.train_errors import train_table
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
@@ -109,7 +109,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
     """
     best = by_error(first_of_each(found))
     try:
-        table = train_table(context, best, floor_of_best(context, best, context.split.train))
+        table = train_table(context, best)
     except FitError:
         return Promise(True, True)
     counts = np.array([0, *(len(e.model.effects) for e in best)])
@@ -158,7 +158,9 @@ def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> l
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
     """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
     every = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
-    return explained(context, [m for m in every if m is not None])
+    fitted = {key_of(start): m for (_, start), m in zip(starts, every) if m is not None}
+    context.whole.update(fitted)
+    return explained(context, list(fitted.values()))
 
 
 def explained(context: DiagnosisContext, models: Sequence[Model]) -> list[Explanation]:
@@ -217,11 +219,8 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
         model = fit(k)
         return None if model is None else model.state
 
-    def model_of(start: Start, state: State) -> Model:
-        effects = tuple(e for e, _ in start)
-        return Model(split, state, split.problem(split.train, angle_range, effects))
-
-    return [None if state is None else model_of(start, state)
+    return [None if state is None else
+            Model(split, state, split.problem(split.train, angle_range, [e for e, _ in start]))
             for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
 
 
@@ -241,7 +240,7 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
 
 def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | None:
     """A fit with shapes held, then free, as far as `context` has none from this start; None where it fails."""
-    key = key_of(start) if begin is context.nominal else b""
+    key = key_of(start)
     if key in context.whole:
         return context.whole[key]
     held = context.held.get(key) or fit_held(context, begin, start, HELD_STEPS)

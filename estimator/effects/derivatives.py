@@ -12,6 +12,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Joined, LawEffect, Points, StateEffect, View
 from estimator.effects.loop_effect import MOTION_STEPS, LoopEffect, central, moved_sides
+from estimator.effects.state_torque import StateTorque
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 STEPS = {**MOTION_STEPS, "sign": 1e-4, "state": 1e-4}
@@ -19,20 +20,21 @@ STEPS = {**MOTION_STEPS, "sign": 1e-4, "state": 1e-4}
 FEATURES = {"q": ANGLE, "v": RATE, "a": ACCEL}
 
 
-def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, joint: int | None = None,
+def by_motion(effect: Joined, around: Around, size: FloatArray, view: View, joint: int,
               state: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Derivatives (...) of an effect's law by the motion of a `joint`, by default its own.
+    """Derivatives (...) of an effect's law by the motion of a `joint`.
 
     They are by angle, rate, acceleration and, where it feels that, smoothed sign. `state` z (K + 1,) is that at the
     ends of the intervals.
     """
-    own = effect.joint or 0
-    j = own if joint is None else joint
     if isinstance(effect, LoopEffect):
-        return effect.slopes(around, size, view) if j == own else {}
+        return effect.slopes(around, size, view) if joint == (effect.joint or 0) else {}
     found = {}
     for name in (*FEATURES, "sign"):
-        up, down = (effect.law(_in_state(at, state), size, view) for at in around.sides(name, j))
+        law = effect.moved_by(name, joint, around.loops) if isinstance(effect, StateTorque) else effect
+        if isinstance(law, StateTorque) and not law.tables:
+            continue
+        up, down = (law.law(_in_state(at, state), size, view) for at in around.sides(name, joint))
         found[name] = np.asarray((up - down) / (2.0 * STEPS[name]))
     return found
 

@@ -18,6 +18,8 @@ from estimator.effects.base import Points, TorqueEffect, View
 MARGIN = 0.02
 """Share of a variable's range by which a motion may leave it: another run of the same plan does."""
 VariableKind = Literal["angle", "rate", "motor torque"]
+FIELDS: dict[str, str] = {"angle": "q", "rate": "v", "motor torque": "u"}
+"""Of `Points`, by kind."""
 
 
 class Variable(NamedTuple):
@@ -29,8 +31,7 @@ class Variable(NamedTuple):
 
     def of(self, at: Points) -> FloatArray:
         """(...) its values."""
-        values = at.q if self.kind == "angle" else at.v if self.kind == "rate" else at.u
-        return np.asarray(values[self.joint])
+        return np.asarray(getattr(at, FIELDS[self.kind])[self.joint])
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,9 @@ class Table:
         """(N, K L) derivatives of its torque at N points by its values, row by row."""
         rows = np.ones((at.q.shape[-1], 1)) if not self.directed else at.sign[joint][:, None]
         for variable, knots in zip(self.variables, self.knots):
-            hats = np.stack([np.interp(variable.of(at), knots, row) for row in np.eye(knots.size)], axis=-1)
-            rows = np.einsum("ni,nj->nij", rows, hats).reshape(len(rows), -1)
+            number = np.arange(float(knots.size))
+            place = np.interp(variable.of(at), knots, number)[:, None]
+            rows = np.einsum("ni,nj->nij", rows, np.maximum(1.0 - np.abs(place - number), 0.0)).reshape(len(rows), -1)
         return rows
 
     def outside(self, at: Points) -> FloatArray:
@@ -93,9 +95,14 @@ class StateTorque(TorqueEffect):
         self.tables, self.constant = tuple(tables), constant
 
     def felt(self, count: int) -> Iterable[int]:
-        found = {variable.joint for table in self.tables for variable in table.variables
-                 if variable.kind != "motor torque"}
-        return sorted(found | ({self.joint or 0} if any(table.directed for table in self.tables) else set()))
+        return range(count)
+
+    def moved_by(self, field: str, joint: int, loops: bool) -> StateTorque:
+        """Its tables that change with this field of `Points` at a joint; with `loops` its motor torque changes, too."""
+        fields = {field, "u"} if loops else {field}
+        return StateTorque(self.joint or 0, [
+            table for table in self.tables if (field == "sign" and table.directed and joint == self.joint)
+            or any(x.joint == joint and FIELDS[x.kind] in fields for x in table.variables)])
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         return self.torque(at)

@@ -97,11 +97,11 @@ def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitO
     if model.mechanism.exchanged:
         raise FitError("the joints of a walker change places with its legs")
     smoothed = parallel_map(lambda k: _smoothed(model, runs[k], options), len(runs), workers)
-    first = samples_of(smoothed)
-    if not any(learn_torque(first, j, model.mechanism) for j in range(model.mechanism.n)):
+    torques, samples = _learn(model, runs, smoothed, options)
+    if not torques:
         return None
-    folds = [[k for k in range(len(runs)) if k % min(FOLDS, len(runs)) == turn]
-             for turn in range(min(FOLDS, len(runs)))]
+    count = min(FOLDS, len(runs))
+    folds = [range(first, len(runs), count) for first in range(count)]
 
     def left_out(fold: int) -> list[PredictedRun]:
         others = [k for k in range(len(runs)) if k not in folds[fold]]
@@ -111,9 +111,6 @@ def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitO
                             HORIZONS_S, misfits=False) for k in folds[fold]]
 
     predicted = [one for fold in parallel_map(left_out, len(folds), workers) for one in fold]
-    torques, samples = _learn(model, runs, smoothed, options)
-    if not torques:
-        return None
     table = tabulate(predicted, smoother=0)
     return Structure(tuple(torques), samples, model.mechanism, table, paired_error(table))
 
@@ -132,14 +129,19 @@ def _smoothed(model: FittedModel, run: RunSignals, options: FitOptions, begin: S
 def _learn(model: FittedModel, runs: Sequence[RunSignals], smoothed: Sequence[SmoothedRun], options: FitOptions
            ) -> tuple[list[LearntTorque], Samples]:
     """Torques of the joints, and the residuals that they were learnt from."""
-    joints, samples = range(model.mechanism.n), samples_of(smoothed)
-    first = [one for j in joints if (one := learn_torque(samples, j, model.mechanism)) is not None]
+    samples = samples_of(smoothed)
+    first = _torques(samples, model)
     if not first:
         return [], samples
     best = max(first, key=lambda one: one.explained_nm / one.noise_nm).law
     again = [_smoothed(with_torques(model, [best]), run, options, one) for run, one in zip(runs, smoothed, strict=True)]
     samples = samples_of(again).plus(best)
-    return [one for j in joints if (one := learn_torque(samples, j, model.mechanism)) is not None], samples
+    return _torques(samples, model), samples
+
+
+def _torques(samples: Samples, model: FittedModel) -> list[LearntTorque]:
+    found = (learn_torque(samples, j, model.mechanism) for j in range(model.mechanism.n))
+    return [one for one in found if one is not None]
 
 
 def paired_error(table: PredictionTable) -> Ratio:

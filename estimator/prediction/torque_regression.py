@@ -108,11 +108,6 @@ def blank_tables(at: Points, joint: int, mechanism: Mechanism) -> list[Table]:
     return [table for table in out if all(k.size > 2 for k in table.knots)]
 
 
-def refined(table: Table, at: Points) -> Table:
-    """The table with more knots, without values."""
-    return _blank(table.variables, table.directed, at, FINE_KNOTS, FINE_PAIR_KNOTS)
-
-
 def _blank(variables: tuple[Variable, ...], directed: bool, at: Points, alone: int, paired: int) -> Table:
     knots = tuple(_knots(x.of(at), alone if len(variables) == 1 else paired) for x in variables)
     nothing = np.zeros(tuple(k.size for k in knots))
@@ -151,37 +146,40 @@ def learn_torque(samples: Samples, joint: int, mechanism: Mechanism) -> LearntTo
         return None
     tables, correlation = blank_tables(samples.at, joint, mechanism), 1.0
     for finer in (False, True):
-        tables = [refined(t, samples.at) for t in tables] if finer else tables
+        tables, gram = [_blank(t.variables, t.directed, samples.at, FINE_KNOTS, FINE_PAIR_KNOTS)
+                        for t in tables] if finer else tables, None
         for _ in range(1 + len(tables)):
-            fit = _Fit(samples, joint, tables, weight, correlation)
-            correlation = fit.correlation_time(samples.run)
-            kept = [t for t, share in zip(tables, fit.shares) if share >= LEAST_SHARE * fit.shares.sum()]
-            if len(kept) == len(tables):
+            fit = _Fit(samples, joint, tables, weight, correlation, gram)
+            correlation, gram = correlation_time(fit.left, samples.run), fit.gram
+            kept = fit.shares >= LEAST_SHARE * fit.shares.sum()
+            if kept.all():
                 break
-            tables = kept
-    fit = _Fit(samples, joint, tables, weight, correlation)
+            mask = np.append(True, np.repeat(kept, [t.values.size for t in tables]))
+            tables, gram = [t for t, k in zip(tables, kept) if k], gram[np.ix_(mask, mask)]
+    fit = _Fit(samples, joint, tables, weight, correlation, gram)
     if fit.power < LEAST_EXPLAINED * (fit.power + fit.noise):
         return None
     return fit.told(samples.run, float(samples.level[joint]))
 
 
 class _Fit:
-    """Values of some tables at one joint, fitted to the samples under their `weight` (N,)."""
+    """Values of some tables at one joint, fitted to the samples under their `weight` (N,); `gram` of their columns, if
+    known."""
 
-    def __init__(self, samples: Samples, joint: int, tables: Sequence[Table], weight: FloatArray, correlation: float
-                 ) -> None:
+    def __init__(self, samples: Samples, joint: int, tables: Sequence[Table], weight: FloatArray, correlation: float,
+                 gram: FloatArray | None) -> None:
         self.joint, self.tables, self.correlation = joint, tables, correlation
         self.columns = weight[:, None] * columns_of(tables, samples.at, joint)
         self.residual = weight * samples.residual[:, joint]
         self.count = float(np.sum(weight**2))
         stops = 1 + np.cumsum([t.values.size for t in tables], dtype=int)
         self.places = [slice(int(stop) - t.values.size, int(stop)) for stop, t in zip(stops, tables)]
-        self.gram = self.columns.T @ self.columns
+        self.gram = self.columns.T @ self.columns if gram is None else gram
         self.centre = self.columns.T @ weight / self.count
         square = float(self.residual @ self.residual)
         self.mean, self.covariance, self.noise = maximise_evidence(
             self.gram / correlation, self.columns.T @ self.residual / correlation, square / correlation,
-            self.count / correlation, [roughness(t) for t in tables])
+            self.count / correlation, [roughness(t) for t in tables], self.places)
 
     @property
     def shares(self) -> FloatArray:
@@ -193,10 +191,6 @@ class _Fit:
     def left(self) -> FloatArray:
         """(N,) weighted residual that the tables leave."""
         return self.residual - self.columns @ self.mean
-
-    def correlation_time(self, run: NDArray[np.intp]) -> float:
-        """Samples that count as one, at least 1."""
-        return correlation_time(self.left, run)
 
     def inflation(self, run: NDArray[np.intp]) -> float:
         """Variance of the torque by its scatter between runs over that by the covariance, at least 1.
@@ -231,15 +225,12 @@ class _Fit:
                             max(level, float(np.sqrt(self.noise))), self.correlation, float(np.sqrt(self.power)))
 
 
-def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count: float, forms: Sequence[FloatArray]
-                      ) -> tuple[FloatArray, FloatArray, float]:
+def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count: float, forms: Sequence[FloatArray],
+                      places: Sequence[slice]) -> tuple[FloatArray, FloatArray, float]:
     """Posterior mean (1 + B,) and covariance of the constant and all values, and the noise's variance.
 
-    `gram`, `right` and `square` are Phi^T Phi, Phi^T r and r^T r of `count` samples; `forms` the K_g.
+    `gram`, `right` and `square` are Phi^T Phi, Phi^T r and r^T r of `count` samples; `forms` the K_g at these `places`.
     """
-    sizes = [len(f) for f in forms]
-    stops = 1 + np.cumsum(sizes, dtype=int)
-    places = [slice(int(stop) - size, int(stop)) for stop, size in zip(stops, sizes)]
     noise = square / count
     levels = np.full(len(forms), 1.0 / noise)
     for _ in range(STEPS):
@@ -252,8 +243,8 @@ def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count:
         mean = covariance @ right / noise
         free = 1.0
         for k, (form, place) in enumerate(zip(forms, places)):
-            own = sizes[k] - levels[k] * float(np.sum(covariance[place, place] * form))
-            own = min(max(own, 1e-6), float(sizes[k]))
+            own = len(form) - levels[k] * float(np.sum(covariance[place, place] * form))
+            own = min(max(own, 1e-6), float(len(form)))
             levels[k] = min(own / max(float(mean[place] @ form @ mean[place]), 1e-300), 1e8 * count / square)
             free += own
         left = square - 2.0 * float(mean @ right) + float(mean @ gram @ mean)

@@ -20,7 +20,7 @@ DRAG, SPRING = 0.03, 0.4
 def what_was_found(one: Searched) -> list[tuple[object, ...]]:
     """Everything that the search and the family state, and the errors that they choose by."""
     family, context = one.family, replace(one.context, rng=np.random.default_rng(0))
-    table = train_table(context, one.found, floor_of_best(context, one.found, context.split.train))
+    table = train_table(context, one.found, floor_of_best(context, one.found))
     return [*((sorted(e.keys), e.gain, e.error, [s.tolist() for s in e.model.sizes()]) for e in one.found),
             (family.rows.core, family.unit, family.noise.noise.torque.tolist(), table.values.tolist()),
             *(([e.key for e in m.effects], m.state.beta.tolist()) for m in family.models)]

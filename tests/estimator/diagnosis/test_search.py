@@ -155,15 +155,15 @@ def test_more_effects_are_tried_where_the_last_lowers_the_error(monkeypatch: pyt
 def test_a_train_run_is_predicted_by_the_fit_to_the_others() -> None:
     """A drag that one run alone has: the fit to the others errs more on it than the fit to all."""
     one = searched(drag=DRAG)
-    context = replace(one.context, left_out=[], rng=np.random.default_rng(0))
+    context = replace(one.context, made={}, rng=np.random.default_rng(0))
     best = one.found[0]
     fold = context.split.inner[0]
     left = left_out_runs(context, best.model, best.scores, fold)
-    assert set(left) == set(fold) and context.left_out[0][0] is best.model
+    assert set(left) == set(fold) and context.made["left out"][0][0] is best.model
     assert left_out_runs(context, best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
     biased = [replace(s, score=s.score + (3.0 if run in fold else -3.0) * s.scale)
               for s, run in zip(best.scores, context.split.train)]
-    other = left_out_runs(replace(context, left_out=[]), best.model, biased, fold)
+    other = left_out_runs(replace(context, made={}), best.model, biased, fold)
     assert np.nanmax(np.abs(other[fold[0]].simulated - left[fold[0]].simulated)) > 0.0
 
 
@@ -174,6 +174,6 @@ def test_where_nothing_can_be_simulated_more_is_tried() -> None:
     wild = replace(one.context.nominal, state=replace(one.context.nominal.state, beta=beta))
     context = replace(one.context, nominal=wild)
     with pytest.raises(FitError, match="diverges"):
-        floor_of_best(context, [], context.split.inner[0])
+        floor_of_best(context, [])
     lost = replace(one.found[0], model=wild)
     assert search.promise(context, [lost]) == (True, True)

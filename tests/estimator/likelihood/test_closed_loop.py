@@ -147,7 +147,7 @@ def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
               (EncoderEccentricity(1, by_law=True), [0.2, 0.1, 0.0], by_record)]
     for effect, size, place in cases:
         assert isinstance(effect, LawEffect)
-        found = by_motion(effect, Around(place, loops=True), np.array(size), view)
+        found = by_motion(effect, Around(place, loops=True), np.array(size), view, 1)
         for field, h in (("q", 1e-5), ("v", 1e-5), ("a", 1e-3)):
             moved = [np.array(getattr(place, field)) for _ in range(2)]
             moved[0][1] += h
