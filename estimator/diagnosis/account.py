@@ -21,6 +21,7 @@ from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, ShortRuns, SizeEstimate, SmallSize
+from estimator.diagnosis.tolerances import with_tolerances
 from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
@@ -106,7 +107,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     """Parts that every verdict has: runs, nominal parameters, what cannot be tested."""
     split = nominal.split
     names = split.mechanism.names
-    std = nominal.std()
+    std = np.sqrt(np.diag(with_tolerances(nominal)))
     warnings = []
     if split.single:
         warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "
@@ -305,7 +306,7 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
     """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
     model, mechanism = best.model, best.model.split.mechanism
     p, names = mechanism.p, mechanism.names
-    covariance = best.covariance()
+    covariance = best.covariance
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
         extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
@@ -334,7 +335,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
     """
     model = explanation.model
     unit = model.problem.mechanism.unit
-    half = float(stdtrit(explanation.left.freedom, 0.975)) * np.sqrt(np.diag(explanation.covariance()))
+    half = float(stdtrit(explanation.left.freedom, 0.975)) * np.sqrt(np.diag(explanation.covariance))
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):

@@ -18,7 +18,6 @@ from estimator.diagnosis.model import (
     Model,
     begin_afresh,
     bootstrap_scores,
-    deviance,
     predicted_train,
     refit,
     score_train,
@@ -85,11 +84,6 @@ class DiagnosisContext:
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
         return begin_afresh(self.nominal)
-
-    @cached_property
-    def deviance(self) -> float:
-        """Deviance of the nominal model."""
-        return deviance(self.nominal)
 
     @cached_property
     def predicted(self) -> tuple[PredictedRun, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
 from estimator.diagnosis.model import Model
+from estimator.diagnosis.tolerances import with_tolerances
 from estimator.score import NO_TESTS, Score, ScoreTests, least_sigmas
 
 LEAST_APART = 2.0 * float(np.log(SURE / (1.0 - SURE)))
@@ -53,11 +55,12 @@ class Explanation:
         """Its effects that no tolerance of the rig holds."""
         return self.keys - self.within
 
+    @cached_property
     def covariance(self) -> FloatArray:
-        """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
+        """(m, m) of the parameters that belong to the leg, from noise, scatter between runs and tolerances."""
         model, width = self.model, self.model.width
         spread = np.sqrt(self.inflation[:width])
-        return np.outer(spread, spread) * model.state.covariance[:width, :width]
+        return with_tolerances(model, np.outer(spread, spread) * model.state.covariance[:width, :width])
 
 
 def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:

@@ -17,7 +17,7 @@ from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
 from estimator.diagnosis.explanation import Explanation, admissible, by_error, fewest_beyond, is_close, shortlisted
-from estimator.diagnosis.model import Model, deviance, fit_nominal, refit
+from estimator.diagnosis.model import Model, fit_nominal, gain_over, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
@@ -147,7 +147,7 @@ def choose_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], f
 
 def weighed_part(part: Explanation, whole: Explanation) -> Explanation:
     """`part` of an explanation with its gain on the scale of the `whole`'s."""
-    loss = (deviance(part.model) - deviance(whole.model)) / whole.left.scatter
+    loss = gain_over(part.model, whole.model) / whole.left.scatter
     return replace(part, gain=whole.gain - loss, by_run=whole.by_run)
 
 
@@ -197,7 +197,7 @@ def imitates(context: DiagnosisContext, best: Explanation, more: Sequence[Explan
     """
     if any(admissible(e) and not e.has_residual for e in more):
         return False
-    gain = (context.deviance - deviance(best.model)) / best.left.scatter
+    gain = gain_over(context.nominal, best.model) / best.left.scatter
     return explains_less(gain, best.further, *(e.gain for e in more))
 
 

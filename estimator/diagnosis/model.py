@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from estimator.fitting import (
     start_motion,
     start_state,
 )
-from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State, log_marginal
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
@@ -67,6 +68,14 @@ class Model:
     def named(self) -> tuple[Effect, ...]:
         """Effects of the leg."""
         return self.effects[: len(self.effects) - self.nuisances]
+
+    @cached_property
+    def log_marginal(self) -> float:
+        """See `likelihood.log_marginal`, under the model's own noise levels; -inf where it has no solution."""
+        try:
+            return log_marginal(self.problem, self.state)
+        except np.linalg.LinAlgError:
+            return -np.inf
 
     @property
     def width(self) -> int:
@@ -216,21 +225,6 @@ def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
     return problem.smoothed_over(found.smoothing).mechanism
 
 
-def misfit(model: Model) -> float:
-    """Objective at the model's state: -2 log likelihood at its noise and a constant."""
-    state = model.state
-    return model.problem.motion_equations(state.x, state.beta, state.noise).objective
-
-
-def misfit_by_run(model: Model) -> FloatArray:
-    """(R,) the same for each train run at the model's state."""
-    split, out = model.split, []
-    for i, state in zip(split.train, run_states(model)):
-        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        out.append(problem.motion_equations(state.x, state.beta, state.noise).objective)
-    return np.array(out)
-
-
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
     """Free runs over SHORT_S of each train run from the fitted motion."""
     split, states = model.split, zip(model.split.train, run_states(model))
@@ -254,9 +248,16 @@ def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int
     return {run: predict_run([smooth(moved, run)], DECIDING_S) for run in fold}
 
 
-def deviance(model: Model) -> float:
-    """-2 log likelihood under the model's own noise levels, up to a constant that all models of these runs share."""
-    return misfit(model) + 2.0 * model.problem.log_volume(model.state.noise)
+def gain_over(smaller: Model, model: Model) -> float:
+    """Twice the log likelihood by which `model` is likelier than a `smaller` one of the same runs."""
+    return 2.0 * (model.log_marginal - smaller.log_marginal)
+
+
+def log_marginal_by_run(model: Model) -> FloatArray:
+    """(R,) `Model.log_marginal` of each train run alone."""
+    split, angle_range = model.split, model.problem.stage.angle_range
+    return np.array([replace(model, state=state, problem=split.problem([i], angle_range, model.effects)).log_marginal
+                     for i, state in zip(split.train, run_states(model))])
 
 
 def run_states(model: Model) -> list[State]:

@@ -38,7 +38,7 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
 from estimator.diagnosis.explanation import Explanation, admissible, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, deviance, fit_nominal, likeliest_smoothing_velocity, score_train
+from estimator.diagnosis.model import Model, fit_nominal, likeliest_smoothing_velocity, score_train
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
@@ -225,7 +225,7 @@ def smoothing_velocity_with(begun: Begun, stated: Mechanism) -> Mechanism | None
     if not models:
         return None
     try:
-        found = likeliest_smoothing_velocity(min(models, key=deviance), stated)
+        found = likeliest_smoothing_velocity(max(models, key=lambda m: m.log_marginal), stated)
     except FitError:
         return None
     return None if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales) else found

@@ -39,9 +39,8 @@ from estimator.diagnosis.explanation import (
 from estimator.diagnosis.loop_starts import by_loops_first, is_of_loop
 from estimator.diagnosis.model import (
     Model,
-    deviance,
-    misfit,
-    misfit_by_run,
+    gain_over,
+    log_marginal_by_run,
     predicted_train,
     refit,
 )
@@ -151,7 +150,7 @@ def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tup
 def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[tuple[Model, Start]]:
     """The sets of `starts` that are the likeliest after a few steps, up to WIDTH, from there."""
     begun = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], FIRST_STEPS))
-    found = sorted((m for m in begun if m is not None), key=deviance)
+    found = sorted((m for m in begun if m is not None), key=lambda m: -m.log_marginal)
     return [(m, pairs_of(m)) for m in unlike(found)[:WIDTH]]
 
 
@@ -166,7 +165,7 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
 def explained(context: DiagnosisContext, models: Sequence[Model]) -> list[Explanation]:
     """Explanations by `models`, with the error of their free runs on the train runs; the likeliest first."""
     runs = parallel_map(lambda k: predicted_train(models[k]), len(models), context.split.workers)
-    found = [Explanation(m, context.deviance - deviance(m), error=relative_error(context.predicted, own))
+    found = [Explanation(m, gain_over(context.nominal, m), error=relative_error(context.predicted, own))
              for m, own in zip(models, runs)]
     return sorted(found, key=lambda e: -e.gain)
 
@@ -187,7 +186,7 @@ def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start
     context.held.update(held)
     if not held:
         return None
-    likeliest = min(held, key=lambda key: deviance(held[key]))
+    likeliest = max(held, key=lambda key: held[key].log_marginal)
     context.whole[likeliest] = fit_free(held[likeliest])
     return context.whole[likeliest]
 
@@ -257,7 +256,7 @@ def fit_free(held: Model) -> Model:
         if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
             if not found.state.converged:
                 found = refit(found, pairs_of(found), FREE_STEPS)
-            return min(found, held, key=deviance)  # a shape can diverge
+            return max(found, held, key=lambda m: m.log_marginal)  # a shape can diverge
         return found
     except (FitError, np.linalg.LinAlgError):
         return held
@@ -287,7 +286,7 @@ def climb_discrete(model: Model) -> Model:
                                       hold_shapes=True)
                     except (FitError, np.linalg.LinAlgError):
                         continue
-                    likeliest = min(likeliest, found, key=deviance)
+                    likeliest = max(likeliest, found, key=lambda m: m.log_marginal)
         if likeliest is model:
             return model
         model = likeliest
@@ -348,8 +347,10 @@ def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int)
 
 
 def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest fit of each set of effects, with its gain over the nominal model under the noise of the best, over
-    the scatter between runs; the most likely first."""
+    """The likeliest fit of each set of effects, the most likely first.
+
+    Its gain over the nominal model is that under the noise of the likeliest set, over the scatter between runs.
+    """
     first: dict[frozenset[str], Explanation] = {}
     for e in sorted(found, key=lambda e: -e.gain):
         first.setdefault(e.keys, e)
@@ -357,7 +358,7 @@ def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Expla
     if not best:
         return []
     models = [context.nominal, *(e.model for e in best)]
-    noise = min((m.state.noise for m in models[1:]), key=context.nominal.problem.log_volume)
+    noise = best[0].model.state.noise
 
     def weighed(k: int) -> tuple[float, FloatArray] | None:
         m = models[k]
@@ -368,7 +369,7 @@ def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Expla
                 return None
             # the nominal model may not converge under so little noise; its last step is used
             again = replace(m, state=replace(m.state, noise=noise))
-        return misfit(again), misfit_by_run(again)
+        return -2.0 * again.log_marginal, -2.0 * log_marginal_by_run(again)
 
     plain, *others = parallel_map(weighed, len(models), context.split.workers)
     assert plain is not None
@@ -385,6 +386,5 @@ def with_one_more(context: DiagnosisContext, best: Explanation) -> list[Explanat
     if not best.has_residual:
         return []
     fits = assess(context, fit_sets(context, grown(context, [best])[:WIDTH]))
-    own, scatter = deviance(best.model), best.left.scatter
-    found = [replace(e, gain=(own - deviance(e.model)) / scatter, by_run=np.zeros(0)) for e in fits]
+    found = [replace(e, gain=gain_over(best.model, e.model) / best.left.scatter, by_run=np.zeros(0)) for e in fits]
     return sorted(found, key=lambda e: -e.gain)

@@ -24,6 +24,7 @@ from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import with_second_opinion
 from estimator.fitting.small_faults import SmallFault, small_faults, without_faults
+from estimator.fitting.tolerances import tolerated
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
@@ -66,6 +67,7 @@ __all__ = [
     "small_faults",
     "start_motion",
     "start_state",
+    "tolerated",
     "torque_levels",
     "weighted_least_squares",
     "with_second_opinion",

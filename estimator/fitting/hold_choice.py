@@ -3,12 +3,7 @@
 Samples alone do not tell a torque that is held from one that ramps, or that a fast controller made. The motion between
 them does: each way moves the links a little differently. A delay does the same, and half a sample of it is the
 difference between two holds. So each hold is asked with a delay of the torque, and with one of the IMU, which are free.
-Marginal likelihoods are compared at the noise levels of one fit, the latents integrated out (Laplace):
-
-    log p = -(least weighted squares + log det H) / 2 + 2 sum_k log det D(q_k, beta)
-
-H is the latents' matrix; the last term is the density of the motion, whose equation holds at two points an interval,
-as one of accelerations (without it a smaller beta is always likelier); an interval whose friction is free has none.
+Marginal likelihoods (`marginal_at`) are compared at the noise levels of one fit.
 A hold's evidence is the larger of two: that without a delay, and that with one, integrated over a prior of the delay
 (Jeffreys, Theory of probability, 1961). A hold that needs no delay therefore goes before one that does. Where all need
 one, a torque that is held and a smooth one are compared, each exactly as late as it likes.
@@ -35,7 +30,7 @@ from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.imu_age import LATEST_S
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.newton_step import newton_step
-from estimator.likelihood import LatentProblem, Latents, Noise, State
+from estimator.likelihood import LatentProblem, Latents, Noise, State, marginal_at
 from estimator.model import HELD, HOLDS, PAST, TICKS, Mechanism, lag
 from estimator.numerics import eliminate
 from estimator.options import FitOptions
@@ -254,14 +249,12 @@ class _Runner:
         except np.linalg.LinAlgError:
             return _Evidence(-np.inf)
         step = newton_step(point, solved, index)
-        size = np.linalg.slogdet(problem.mechanism.inertia_matrix(self.x.q[problem.left], self.beta[:p]))[1]
-        held = (problem.motion_weight(self.noise) * problem.motion_level(self.noise)) ** 2
-        squares = point.objective - step.fall
+        value = marginal_at(problem, State(self.x, self.beta, self.noise, step.covariance), point, solved,
+                            point.objective - step.fall)
         self.x = self.x.moved(step.latents)
         self.beta[index] += step.beta
         if not (np.isfinite(self.beta).all() and np.isfinite(self.x.q).all()):
             return _Evidence(-np.inf)
-        value = float(-0.5 * (squares + solved.log_determinant()) + 2.0 * np.sum(size * held.mean(axis=0)))
         if not (delays and problem.mechanism.actuated):
             return _Evidence(value, optimum=value, without=value)
         late = -float(self.beta[p])

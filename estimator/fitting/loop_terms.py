@@ -14,7 +14,7 @@ from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, Mi
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
-from estimator.likelihood import LatentProblem, Stage, State
+from estimator.likelihood import LatentProblem, Stage, State, log_marginal
 from estimator.options import FitOptions
 from estimator.result import TWO_SIDED, LoopTerm
 from estimator.score import Score, robust_covariance
@@ -77,7 +77,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     own = [(key, j, start) for key in KINDS if key in keys for j in fitted.problem.mechanism.followers
            if (start := _start(fitted, key, j)) is not None]
     if not own:
-        return Loops(state, value=value_of(fitted.problem, state))
+        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
     held = np.array([unlimited and key == "limit" for key, *_ in own])
     effects, starts = [KINDS[key](j) for key, j, _ in own], np.where(held, UNLIMITED, [start for *_, start in own])
     wide, count = extended(fitted.problem, fitted.signals, effects), len(own)
@@ -87,17 +87,17 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
         again = iterate(wide, begin, np.append(fitted.free, ~held), fitted.options,
                         noise_floors(wide, wide.mechanism, state.beta))
     except (FitError, np.linalg.LinAlgError):
-        return Loops(state, value=value_of(fitted.problem, state))
+        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
     if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
-        return Loops(state, value=value_of(fitted.problem, state))
+        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
     p = state.beta.size
     short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
                   state.iterations + again.iterations, misfit=again.misfit)
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
                   for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
     return Loops(short, tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms,
-                 value_of(wide, again))
+                 -2.0 * log_marginal(wide, again))
 
 
 def _believed(one: tuple[str, int, float], size: float) -> bool:
@@ -151,11 +151,6 @@ def scattered(terms: Sequence[LoopTerm], scores: Sequence[Score]) -> tuple[LoopT
                                              np.array([one.information for one in scores]))
     wide = (np.sqrt(np.maximum(np.diag(covariance), 0.0)) * quantile / TWO_SIDED)[-len(terms) :]
     return tuple(replace(one, std=max(one.std, float(std))) for one, std in zip(terms, wide))
-
-
-def value_of(problem: LatentProblem, state: State) -> float:
-    """-2 log likelihood of a state."""
-    return problem.motion_equations(state.x, state.beta, state.noise).objective + 2.0 * problem.log_volume(state.noise)
 
 
 def _start(fitted: Fitted, key: str, joint: int) -> float | None:

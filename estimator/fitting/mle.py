@@ -55,7 +55,7 @@ from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
 from estimator.fitting.wls import free_mask
 from estimator.free_runs import FittedModel
-from estimator.likelihood import LatentProblem, State
+from estimator.likelihood import LatentProblem, State, log_marginal
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
@@ -156,7 +156,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
             result, faults, less = _with_scores(result, problem, signals, state, free, extra, options, known.taken)
-    value = problem.motion_equations(state.x, state.beta, state.noise).objective + 2.0 * problem.log_volume(state.noise)
+    value = -2.0 * log_marginal(problem, state)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
@@ -195,8 +195,7 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
                 for each in (options, replace(options, prior={}))]
     except FitError:
         return 0.0
-    known, alone = (problem.motion_equations(s.x, s.beta, s.noise).objective + 2.0 * problem.log_volume(s.noise)
-                    for s in both)
+    known, alone = (-2.0 * log_marginal(problem, s) for s in both)
     fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
     own = state.covariance.diagonal()[: result.mechanism.p]
     scatter = without_tolerances(result)[1].diagonal() / np.maximum(own, 1e-300)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.model import Mechanism
 from estimator.result import Budget, BudgetPart, FitResult
 from estimator.score import (
     STRUCTURE,
@@ -38,32 +40,59 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     wrong then may not be what they are of. `taken` (k,) are sizes that were taken off the readings before: there the
     score of their prior is -n / t^2.
     """
-    free, prior = known
-    used = np.flatnonzero([one.tolerance > 0.0 for one in nuisances])
-    columns = np.concatenate([np.arange(free.size), free.size + used])
-    full, *runs = (with_torque_gain(one.of(columns), result.beta, result.mechanism, stated)
-                   for one in (whole, *scores.scores))
-    every = [*(nuisances[int(k)] for k in used), *full.nuisances]
-    if not every or not np.isfinite(result.covariance).all():
+    free = known[0]
+    along = np.append(result.beta, np.zeros(free.size - result.beta.size))
+    found = tolerated([whole, *scores.scores], known, nuisances, along, result.mechanism, stated, taken)
+    if found is None or not np.isfinite(result.covariance).all():
         return result, scores
-    plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
-    known_sizes = np.append(taken[used], np.zeros(len(full.nuisances)))
-    wide, factors = enlarged(replace(plain, score=plain.score + plain.information @ known_sizes), every)
-    drawn = known_sizes / np.array([one.tolerance for one in every]) ** 2
-    marginal, likeliest = marginalise(robust, wide), marginalise(replace(robust, score=robust.score - drawn), every)
-    step = np.zeros(full.score.score.size)
-    step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
     p = len(result.beta)
     inside = np.flatnonzero(free[:p])
     noise = result.covariance.copy()
-    noise[np.ix_(inside, inside)] += marginal.noise[: inside.size, : inside.size]
-    parts = [BudgetPart(NOISE, _root(noise)), *_parts(marginal, wide, p, inside),
-             BudgetPart(STEP, step[None, :p] / np.sqrt(3.0))]
-    budget = Budget(tuple(part for part in parts if part.directions.any()), step[:p], factors)
-    moved = tuple(Score(one.score.score - one.score.information @ step, one.score.information) for one in runs)
-    return (replace(result, beta=result.beta + step[:p], budget=budget,
+    noise[np.ix_(inside, inside)] += found.marginal.noise[: inside.size, : inside.size]
+    parts = [BudgetPart(NOISE, _root(noise)), *_parts(found.marginal, found.nuisances, p, inside),
+             BudgetPart(STEP, found.step[None, :p] / np.sqrt(3.0))]
+    budget = Budget(tuple(part for part in parts if part.directions.any()), found.step[:p], found.factors)
+    moved = tuple(Score(one.score - one.information @ found.step, one.information) for one in found.runs)
+    return (replace(result, beta=result.beta + found.step[:p], budget=budget,
                     covariance=noise + np.sum([part.covariance for part in parts[1:]], axis=0)),
             scores._replace(scores=moved))
+
+
+class Tolerated(NamedTuple):
+    """What may be wrong with a rig, marginalised at a fit with m parameters, of which f are estimated."""
+
+    marginal: Marginal
+    nuisances: Sequence[Nuisance]
+    """(k,) with the tolerances that the runs ask for, that of the torque's scale last"""
+    factors: Mapping[str, float]
+    step: FloatArray
+    """(m + k,) half of the way to the likeliest nuisances"""
+    runs: Sequence[Score]
+    """(R,) over m + k columns"""
+
+
+def tolerated(scores: Sequence[Score], known: tuple[NDArray[np.bool_], FloatArray | None],
+              nuisances: Sequence[Nuisance], along: FloatArray, mechanism: Mechanism,
+              stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> Tolerated | None:
+    """All `nuisances` with a tolerance, marginalised; None without any. See `with_tolerances`.
+
+    The first of `scores` is that of all runs. `along` (m,) is how the scale of the torque moves the parameters.
+    """
+    free, prior = known
+    used = np.flatnonzero([one.tolerance > 0.0 for one in nuisances])
+    columns = np.concatenate([np.arange(free.size), free.size + used])
+    full, *runs = (with_torque_gain(one.of(columns), along, mechanism, stated) for one in scores)
+    every = [*(nuisances[int(k)] for k in used), *full.nuisances]
+    if not every:
+        return None
+    plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
+    sizes = np.append(taken[used], np.zeros(len(full.nuisances)))
+    wide, factors = enlarged(replace(plain, score=plain.score + plain.information @ sizes), every)
+    drawn = sizes / np.array([one.tolerance for one in every]) ** 2
+    likeliest = marginalise(replace(robust, score=robust.score - drawn), every)
+    step = np.zeros(full.score.score.size)
+    step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
+    return Tolerated(marginalise(robust, wide), wide, factors, step, [one.score for one in runs])
 
 
 def with_scatter(result: FitResult, covariance: FloatArray) -> FitResult:

@@ -22,8 +22,7 @@ from estimator.errors import FitError
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
-from estimator.likelihood import GaussRows, LatentProblem, Noise, State
-from estimator.numerics import eliminate
+from estimator.likelihood import LatentProblem, Noise, State, log_marginal
 from estimator.options import FitOptions
 
 MOVES = 0.85
@@ -56,21 +55,3 @@ def _moves(problem: LatentProblem, noise: Noise, joints: list[int]) -> bool:
     shown = problem.shown
     pairs = ((noise.torque[joints], shown.torque[joints]), (noise.gyro, shown.gyro), (noise.accel, shown.accel))
     return any(bool(np.any(level < MOVES * activity)) for level, activity in pairs)
-
-
-def log_marginal(problem: LatentProblem, state: State) -> float:
-    """log p(readings) up to a constant, with the motion integrated out (Laplace). Raises `LinAlgError`.
-
-    -1/2 (weighted squares + log det H + log det R) + log |det J|, J the derivatives of an interval's torques by the
-    motion at its end: by it a density of torques becomes one of motions.
-    """
-    noise, beta = state.noise, state.beta[: problem.mechanism.p]
-    point = problem.motion_equations(state.x, state.beta, noise)
-    weight = problem.motion_weight(noise)
-    volume = 2.0 * float(np.sum(np.log(weight))) - 0.5 * float(np.sum(np.log(problem.torque_variance(noise))))
-    volume += problem.total * float(np.sum(np.log(noise.torque))) - problem.log_volume(noise)  # without torques' levels
-    for kind, values in noise.scale.by_kind() if noise.scale is not None else ():
-        volume -= 0.0 if kind == "torque" else float(np.sum(np.log(values)))
-    rows = GaussRows(problem, state.x, beta, point.extra)
-    return (-0.5 * (point.objective + eliminate(point.chain).log_determinant()) + volume
-            + float(np.sum(np.linalg.slogdet(rows.ahead())[1])))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from daq import FloatArray
-from estimator.likelihood import LatentProblem, Noise, State
+from estimator.likelihood import LatentProblem, Noise, State, log_marginal
 from estimator.signals import SignalSet
 
 
@@ -26,11 +26,6 @@ class SmoothedRun:
         return self.problem.torque - self.problem.torque_readings(self.state.x, self.state.beta)
 
     def misfit(self, noise: Noise | None = None) -> float:
-        """-2 log density of readings and motion at this motion, up to a constant that all models of the run share.
-
-        Under `noise`, by default the run's own levels. The density is that of the likeliest motion, not integrated
-        over motions.
-        """
+        """-2 `log_marginal` at this motion, under `noise`, by default the run's own levels."""
         noise = (noise or self.state.noise).with_samples_of(self.state.noise)
-        objective = self.problem.motion_equations(self.state.x, self.state.beta, noise).objective
-        return objective + 2.0 * self.problem.log_volume(noise)
+        return -2.0 * log_marginal(self.problem, replace(self.state, noise=noise))

@@ -8,6 +8,7 @@ from estimator.likelihood.free_run import LOST_RAD, FreeRun, free_run, pieces, r
 from estimator.likelihood.gauss_rows import GaussRows, unseen_level
 from estimator.likelihood.kernels import compile_kernels
 from estimator.likelihood.latent_problem import LatentProblem
+from estimator.likelihood.marginal import log_marginal, marginal_at
 from estimator.likelihood.measured_runs import MeasuredRuns, slack_of
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.noise_scale import NoiseScale, unit_scale
@@ -21,6 +22,7 @@ __all__ = [
     "LOST_RAD", "OFF", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "GaussRows", "LatentProblem", "Latents",
     "Linearised", "MeasuredRuns", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State",
     "add_reading", "compile_kernels", "draw_stiction", "effective_samples", "find_smoothing", "find_stiction",
-    "free_run", "held_variance", "pieces", "read_motion", "slack_of", "unit_scale", "unseen_level",
+    "free_run", "held_variance", "log_marginal", "marginal_at",
+    "pieces", "read_motion", "slack_of", "unit_scale", "unseen_level",
     "weighted_residuals_after",
 ]

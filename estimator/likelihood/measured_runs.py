@@ -124,12 +124,11 @@ class MeasuredRuns:
         """(N, 2, n) in force: what is known beforehand, else what a search found."""
         return noise.stiction if self.known_stiction is None else self.known_stiction
 
-    def log_volume(self, noise: Noise) -> float:
-        """Sum over samples of the log standard deviations of all channels."""
-        levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
-        if self.has_imu:
-            levels += [*noise.gyro, *noise.accel.ravel()]
-        return self.total * float(np.sum(np.log(levels)))
+    def log_sensors(self, noise: Noise) -> float:
+        """Sum over samples of the log standard deviations of encoders and IMUs."""
+        levels = [*noise.encoder[np.isfinite(noise.encoder)], *noise.gyro, *noise.accel.ravel()]
+        of_runs = (values for kind, values in noise.scale.by_kind() if kind != "torque") if noise.scale else ()
+        return self.total * float(np.sum(np.log(levels))) + sum(float(np.sum(np.log(values))) for values in of_runs)
 
     @cached_property
     def commands(self) -> tuple[Commanded, Commanded] | None:

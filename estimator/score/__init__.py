@@ -11,6 +11,7 @@ from estimator.score.nuisances import (
     nuisance_candidates,
     nuisances_of,
     tolerance_sources,
+    torque_power,
     with_torque_gain,
 )
 from estimator.score.run_scatter import agreement_of, robust_covariance, student_quantile
@@ -33,5 +34,6 @@ __all__ = [
     "Projected", "RunScores", "Score", "ScoreTests", "SensorFaults", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
-    "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources", "total", "with_torque_gain",
+    "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources", "torque_power",
+    "total", "with_torque_gain",
 ]

@@ -87,8 +87,8 @@ class WithGain(NamedTuple):
     nuisances: tuple[Nuisance, ...] = ()
 
 
-def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, stated: Stated) -> WithGain:
-    """`score` with a last column for the scale of all torques, which moves the parameters beta (p,) in proportion.
+def with_torque_gain(score: Score, along: FloatArray, mechanism: Mechanism, stated: Stated) -> WithGain:
+    """`score` with a last column for the scale of all torques, which moves the first m parameters by `along` (m,).
 
     tau_measured = (1 + g) tau, so that the parameters that the runs show are (1 + g) beta. None is added without a
     motor, or where the input is a voltage.
@@ -97,8 +97,8 @@ def with_torque_gain(score: Score, beta: FloatArray, mechanism: Mechanism, state
     if not mechanism.actuated or mechanism.force_unit == "V" or not tolerance:
         return WithGain(score)
     count = score.score.size
-    along = np.append(beta, np.zeros(count - beta.size))
-    return WithGain(score.along(np.column_stack([np.eye(count), along])),
+    wide = np.append(along, np.zeros(count - along.size))
+    return WithGain(score.along(np.column_stack([np.eye(count), wide])),
                     (Nuisance(TORQUE_GAIN, TORQUE_GAIN, tolerance),))
 
 

@@ -54,10 +54,10 @@ class Named:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """As much of a model as is looked at, with its stated `deviance`; the size of each effect in its deviations."""
+    """As much of a model as is looked at, with a stated log likelihood; the size of each effect in its deviations."""
 
     effects: tuple[Named, ...]
-    deviance: float = 0.0
+    log_marginal: float = 0.0
     size: float = SIGNIFICANT
 
     @property
@@ -74,8 +74,7 @@ class Fitted:
 
     @property
     def problem(self) -> Any:
-        return SimpleNamespace(motion_equations=lambda *_: SimpleNamespace(objective=self.deviance),
-                               log_volume=lambda _: 0.0, total=TOTAL)
+        return SimpleNamespace(total=TOTAL)
 
     def sizes(self) -> list[FloatArray]:
         return [np.array([self.size]) for _ in self.effects]
@@ -89,7 +88,7 @@ class Fitted:
 
 def fitted(gain: float, *effects: str | Named, size: float = SIGNIFICANT) -> Any:
     """A model that is likelier by `gain` than the nominal one."""
-    return Fitted(tuple(Named(e) if isinstance(e, str) else e for e in effects), -gain, size)
+    return Fitted(tuple(Named(e) if isinstance(e, str) else e for e in effects), gain / 2.0, size)
 
 
 def explained(gain: float, *effects: str | Named, size: float = SIGNIFICANT, further: Sequence[float] = (),

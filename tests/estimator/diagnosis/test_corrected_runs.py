@@ -11,7 +11,7 @@ from estimator import FitOptions
 from estimator.diagnosis.context import DiagnosisContext, scored
 from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import deviance, fit_nominal
+from estimator.diagnosis.model import fit_nominal, gain_over
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
@@ -53,7 +53,7 @@ def test_all_small_faults_are_found_together_and_the_readings_are_without_them()
         assert sizes[named[fault]] == pytest.approx(true, abs=0.3 * tolerances[0]), fault
     others = [one for one in found.faults if one.effect.key not in {n.partition(".")[0] for n in named.values()}]
     assert all(np.all(np.abs(one.size) < 0.5 * one.tolerance) for one in others)
-    assert deviance(found.nominal) < context.deviance - 200.0
+    assert gain_over(context.nominal, found.nominal) > 200.0
     names = {i: s.run for i, run in enumerate(found.nominal.split.runs) for s in run}
     for i, run in enumerate(found.nominal.split.runs):  # those of test runs as well
         clean = context_of(()).split.runs[[s[0].run for s in context_of(()).split.runs].index(names[i])]

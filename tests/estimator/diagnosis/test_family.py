@@ -15,7 +15,7 @@ from tests.support.stated_fits import Named, explained, fitted, predicted_by_sco
 
 
 def context() -> DiagnosisContext:
-    """Gains of less than 120 are not looked at; the nominal model's deviance is 0."""
+    """Gains of less than 120 are not looked at; the nominal model's log likelihood is 0."""
     return predicted_by_scores({Named("delay"): 4230.0})[0]
 
 
@@ -60,7 +60,7 @@ def test_what_one_further_effect_explains_more_than_is_an_imitation() -> None:
     assert not imitates(asked, spring, [])
     second = more_than(spring, {"scale": 9001.0}, has_residual=False)  # a cause
     assert not imitates(asked, spring, second)
-    asked.deviance = -9100.0  # the nominal model is likelier
+    asked.nominal = replace(asked.nominal, log_marginal=4550.0)  # it is likelier
     assert imitates(asked, spring, [])
 
 

@@ -12,7 +12,7 @@ from estimator.diagnosis import search
 from estimator.diagnosis.context import Start, assess, assess_answers, bias_of
 from estimator.diagnosis.decision_rule import GROWN, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
-from estimator.diagnosis.model import Model, deviance
+from estimator.diagnosis.model import Model, gain_over
 from estimator.diagnosis.train_errors import floor_of_best, left_out_runs
 from estimator.effects import StribeckFriction, TorqueDelay
 from estimator.effects.quadratic_drag import QuadraticDrag
@@ -47,7 +47,7 @@ def test_sets_that_are_the_likeliest_after_a_few_steps_are_kept() -> None:
     one = searched(drag=DRAG)
     starts = search.grown(one.context, [Explanation(one.context.nominal, 0.0, one.tests)])
     kept = search.tried(one.context, starts[::-1])
-    gains = [deviance(m) for m, _ in kept]
+    gains = [-m.log_marginal for m, _ in kept]
     assert len(kept) == WIDTH < len(starts) and gains == sorted(gains)
     assert keys_of(kept[0][1]) == ["quadratic_drag@1"] and len({tuple(keys_of(s)) for _, s in kept}) == WIDTH
     assert all(np.array_equal(size, m.sizes()[0]) for m, [(_, size)] in kept)  # a fit goes on from there
@@ -94,7 +94,7 @@ def test_one_effect_more_is_sought_in_what_an_explanation_leaves() -> None:
     drag = next(e for e in one.found if e.keys == {"quadratic_drag@1"})
     more = search.with_one_more(one.context, drag)
     assert more[0].keys == {"quadratic_drag@1", "joint_stiffness@1"}
-    own = (deviance(drag.model) - deviance(more[0].model)) / drag.left.scatter
+    own = gain_over(drag.model, more[0].model) / drag.left.scatter
     assert more[0].gain == pytest.approx(own) and own > one.context.least_gain
     assert [e.gain for e in more] == sorted((e.gain for e in more), reverse=True)
 

@@ -11,8 +11,7 @@ from daq import Dataset
 from estimator import FitOptions, fit
 from estimator.fitting import converge_motion
 from estimator.fitting.torque_colour import torque_colour
-from estimator.fitting.unseen_torque import log_marginal
-from estimator.likelihood import GaussRows, LatentProblem, Latents, Noise, State, unseen_level
+from estimator.likelihood import GaussRows, LatentProblem, Latents, Noise, State, log_marginal, unseen_level
 from estimator.model import leg2
 from estimator.numerics import eliminate
 from estimator.signals import split_signals
