@@ -13,7 +13,7 @@ import numpy as np
 import legid
 from daq import Dataset, FloatArray, Loop, Rig, load_rig
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import fit_nominal, refit
+from estimator.diagnosis.model import nominal_model, refit
 from estimator.effects import classes
 from estimator.free_runs import FittedModel
 from estimator.likelihood import free_run
@@ -81,7 +81,7 @@ def extended(name: str) -> FittedModel:
     """Our model of the train runs with one effect of the library, in volts."""
     setup = prepare(records(TRAIN), rig(), choose=False).setup
     split = split_runs(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio)
-    nominal = fit_nominal(replace(split, train=tuple(range(len(setup.datasets))), test=()))
+    nominal = nominal_model(replace(split, train=tuple(range(len(setup.datasets))), test=()))
     (kind,) = (one for one in classes() if one.name == name)
     begin = np.array([0.1, *[0.0] * (len(kind.sizes) - 1), *(shape.grid[1] for shape in kind.shapes)])
     return refit(nominal, [(kind(0), begin)], 60).fitted

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator.effects import Effect, EncoderOffset, battery, library
 from estimator.errors import FitError
-from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
+from estimator.fitting import fit_nominal, free_mask, iterate, noise_floors, start_state
 from estimator.free_runs import FittedModel
 from estimator.likelihood import Candidate, Noise, State
 from estimator.model import Mechanism
@@ -58,14 +58,14 @@ class ReferenceFit:
 def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float
                   ) -> ReferenceFit:
     """The model that all reference runs share. Raises `FitError` where the fit does not converge."""
-    hold, mechanism, *_ = between_samples(datasets, mechanism, options)
+    hold, mechanism, state, *_ = fit_nominal(datasets, mechanism, options)
+    if state is None:
+        raise FitError("the fit of the reference runs did not converge")
     options = replace(options, hold=hold, smoothing_velocity="given")
-    signals = split_signals(datasets, mechanism, options)
-    free, beta = free_mask(mechanism, options)
-    blank = FittedModel(mechanism, hold, beta, gear_ratio=gear_ratio)
-    problem = blank.problem(signals)
-    state = start_state(problem, signals, mechanism, options, free, beta)
-    state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))
+    free, _ = free_mask(mechanism, options)
+    blank = FittedModel(mechanism, hold, state.beta, gear_ratio=gear_ratio)
+    problem = blank.problem(split_signals(datasets, mechanism, options))
+    state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))  # one level a channel
     if not state.converged:
         raise FitError("the fit of the reference runs did not converge")
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)

@@ -107,7 +107,8 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     """Parts that every verdict has: runs, nominal parameters, what cannot be tested."""
     split = nominal.split
     names = split.mechanism.names
-    std = np.sqrt(np.diag(with_tolerances(nominal)))
+    values, covariance = with_tolerances(nominal)
+    std = np.sqrt(np.diag(covariance))
     warnings = []
     if split.single:
         warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "
@@ -118,7 +119,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
         warnings.append("the nominal fit does not converge: the nominal parameters are least squares on filtered "
                         "motion and have no intervals")
     if reference:
-        warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
+        warnings += changes(dict(zip(names, zip(values, std))), reference)
     groups: dict[str, tuple[int, ...]] = {"fit": split.train, "screen": (), "confirm": split.test}
     noise = nominal.state.noise
     levels = torque_levels(noise, split.mechanism)
@@ -128,7 +129,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
         levels |= imu_levels(noise)
     return Diagnosis(
         "none", "", confirm_runs=tuple(split.names[i] for i in split.test), not_testable=dict(refused),
-        nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
+        nominal=dict(zip(names, map(float, values))), nominal_std=dict(zip(names, map(float, std))),
         runs={k: tuple(split.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
         angle_range=nominal.problem.stage.angle_range)
 

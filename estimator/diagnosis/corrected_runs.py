@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.model import Model, fit_nominal, refit, run_states, score_train, smooth
+from estimator.diagnosis.model import Model, nearby, nominal_model, refit, run_states, score_train, smooth
 from estimator.errors import FitError
 from estimator.fitting import SmallFault, small_faults, without_faults
 from estimator.score import BEYOND, Score, SensorFaults
@@ -54,7 +54,7 @@ def corrected(context: DiagnosisContext, model: Model, scores: Sequence[Score]) 
             break
         taken = taken + step
         try:
-            nominal = fit_nominal(without(model, small_faults(sensors, step)))
+            nominal = nominal_model(without(model, small_faults(sensors, step)), nearby(nominal))
             model = refit(nominal, list(zip(model.effects, model.sizes()))) if model.effects else nominal
         except (FitError, np.linalg.LinAlgError):
             return None

@@ -17,7 +17,7 @@ from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
 from estimator.diagnosis.explanation import Explanation, admissible, by_error, fewest_beyond, is_close, shortlisted
-from estimator.diagnosis.model import Model, fit_nominal, gain_over, refit
+from estimator.diagnosis.model import Model, gain_over, nominal_model, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
@@ -263,7 +263,7 @@ def measure_all(family: FittedFamily, first: ErrorTable, rng: np.random.Generato
     unit, smoothers = core.index(family.unit), [core.index(row) for row in family.smoothers]
 
     def turn(k: int) -> tuple[ErrorTable, list[list[FloatArray]]]:
-        nominal = fit_nominal(turned(split, others[k]))
+        nominal = nominal_model(turned(split, others[k]))
         fitted = [nominal, *(_again(nominal, m) for m in models[1:])]
         return (measure(fitted, unit, family.noise, np.random.default_rng(seeds[k]), smoothers),
                 [m.sizes() for m in fitted])

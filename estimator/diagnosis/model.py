@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
@@ -108,19 +109,24 @@ class Model:
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
 
 
-def fit_nominal(split: RunSplit) -> Model:
-    """Nominal fit of the train runs. Raises `FitError`.
+def nominal_model(split: RunSplit, near: State | None = None) -> Model:
+    """Nominal fit of the train runs, or that `near` it if it has their samples. Raises `FitError`.
 
-    If the model takes the torque for noise, or does not converge, the fit starts again from slow motion. If that fails
-    too, beta is least squares on filtered motion, with infinite variances; only motion and noise levels are estimated.
+    One that has converged is taken as it is. If the model takes the torque for noise, or does not converge, the fit
+    starts again from slow motion. If that fails too, beta is least squares on filtered motion, with infinite variances;
+    only motion and noise levels are estimated.
     """
     signals = split.signals(split.train)
     n = split.mechanism.n
     free, beta = free_mask(split.mechanism, split.options)
     held = np.zeros_like(free)
-    for begin, steps in ((start_state, (free,)), (gentle_start, (held, free)), (start_state, (held,))):
-        blank = split.problem(split.train, np.zeros((n, 2)))
-        state = begin(blank, signals, split.mechanism, split.options, free, beta)
+    blank = split.problem(split.train, np.zeros((n, 2)))
+    ways: list[tuple[Callable[..., State], list[NDArray[np.bool_]]]] = [
+        (start_state, [free]), (gentle_start, [held, free]), (start_state, [held])]
+    if near is not None and len(near.x.q) == blank.total:
+        ways[0] = lambda *_: near, [] if near.converged else [free]
+    for start, steps in ways:
+        state = start(blank, signals, split.mechanism, split.options, free, beta)
         floors = split.floors(blank, state.beta)
         try:
             for freed in steps:
@@ -135,11 +141,17 @@ def fit_nominal(split: RunSplit) -> Model:
         raise FitError("the nominal fit does not converge, so its residual cannot be tested")
     split = split.with_stiction({i: rest[here] for i, here in split.parts})
     state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()))
-    if freed is held:
+    if steps is ways[-1][1]:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     found = Model(split, state, split.problem(split.train, angle_range))
     return replace(found, split=split.with_stiction(stiction_of_test(found)))
+
+
+def nearby(model: Model) -> State:
+    """State from which a nominal fit of other readings of the same samples begins."""
+    state = model.state
+    return replace(state, beta=state.beta[: model.problem.mechanism.p], noise=state.noise.levels(), converged=False)
 
 
 def stiction_of_test(model: Model) -> dict[int, FloatArray]:

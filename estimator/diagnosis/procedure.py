@@ -38,7 +38,7 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
 from estimator.diagnosis.explanation import Explanation, admissible, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, fit_nominal, likeliest_smoothing_velocity, score_train
+from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model, score_train
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
@@ -47,8 +47,8 @@ from estimator.diagnosis.train_errors import train_table
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
-from estimator.fitting import SmallFault, between_samples, describe_smoothing_velocity
-from estimator.likelihood import Candidate
+from estimator.fitting import SmallFault, describe_smoothing_velocity, fit_nominal
+from estimator.likelihood import Candidate, State
 from estimator.model import Mechanism
 from estimator.numerics import load_compiler
 from estimator.options import AUTO, FitOptions
@@ -76,12 +76,12 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             tests = {split.names[i] for i in split.test}  # they choose nothing
             place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
             seen = sorted((d for d in datasets if d.name not in tests), key=lambda d: place.get(d.name, 0))
-            hold, mechanism, delay_s, others_s = between_samples(seen, mechanism, options)
+            hold, mechanism, near, delay_s, others_s = fit_nominal(seen, mechanism, split.options)
             seeks = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             delays = (delay_s, *others_s) if delay_s else ()
             split = replace(split, mechanism=mechanism, delays_s=delays, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))
-            found = _diagnose(split, seed, say, reference, material, stated if seeks else None)
+            found = _diagnose(split, near, seed, say, reference, material, stated if seeks else None)
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -90,9 +90,11 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
                    warnings=(*found.warnings, *([told] if told else [])))
 
 
-def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
-              material: float, stated: Mechanism | None) -> Diagnosis:
-    """The diagnosis of runs that are split; friction's smoothing velocity is estimated from `stated`, if given."""
+def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
+              reference: Mapping[str, tuple[float, float]] | None, material: float, stated: Mechanism | None
+              ) -> Diagnosis:
+    """The diagnosis of runs that are split, from their fit `near`; friction's smoothing velocity is estimated from
+    `stated`, if given."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     load_compiler()
@@ -100,7 +102,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
-    begun = begin(fit_nominal(split), candidates, named, rng, say, material)
+    begun = begin(nominal_model(split, near), candidates, named, rng, say, material)
     taken: tuple[SmallFault, ...] = ()
     less = within_tolerances(begun, [Explanation(begun.context.nominal, 0.0)])
     if less is not None:
@@ -112,7 +114,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
         if other is not None:
             with suppress(FitError):
                 again = replace(begun.context.split, mechanism=other, stiction={})
-                begun = begin(fit_nominal(again), candidates, named, rng, say, material, begun.context.bias)
+                nominal = nominal_model(again, nearby(begun.context.nominal))
+                begun = begin(nominal, candidates, named, rng, say, material, begun.context.bias)
     found = searched(begun, say)
     less = within_tolerances(begun, [e for e in first_of_each(found) if e.has_residual and admissible(e)])
     if less is not None:

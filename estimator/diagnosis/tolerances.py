@@ -1,4 +1,4 @@
-"""`with_tolerances`: the covariance of a diagnosis' model with what may be wrong with the rig, as a fit's has it."""
+"""`with_tolerances`: a diagnosis' model with what may be wrong with the rig, as a fit has it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from estimator.fitting import tolerated
 from estimator.score import RunScores, agreement_of, nuisance_candidates, nuisances_of, torque_power, total
 
 
-def with_tolerances(model: Model, covariance: FloatArray | None = None) -> FloatArray:
-    """(w, w) `covariance` of the leg's parameters and sizes with the tolerances of the rig marginalised.
+def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """(w,) the leg's parameters and sizes, and their (w, w) `covariance` with the tolerances of the rig marginalised.
 
-    By default that of noise and of what the train runs disagree about.
-
-    A named effect has no tolerance: its size is estimated. The values stay at the model's optimum, so the whole step
-    to the likeliest nuisances counts with a rectangular distribution (JCGM 100, 4.3.7).
+    By default that of noise and of what the train runs disagree about. A nominal model moves half way to the likeliest
+    nuisances, as a fit does. With effects, whose sizes have no tolerance, it stays at its optimum, by which free runs
+    are judged, and the whole step counts with a rectangular distribution (JCGM 100, 4.3.7).
     """
     stated, mechanism = model.split.options.tolerances, model.split.mechanism
-    leg = model.state.covariance[: model.width, : model.width]
+    values, leg = model.state.beta[: model.width], model.state.covariance[: model.width, : model.width]
     if not np.isfinite(model.state.covariance).all():
-        return leg if covariance is None else covariance
+        return values, leg if covariance is None else covariance
     candidates = () if stated is None else nuisance_candidates(model.problem, (), stated)
     scores = score_train(model, candidates)
     free = np.diag(model.state.covariance) > 0.0
@@ -30,18 +29,19 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> Float
         own = RunScores(names, tuple(one.of(np.arange(free.size)) for one in scores))
         covariance = agreement_of(own, model.state.beta, leg, free)[0]
     if stated is None:
-        return covariance
+        return values, covariance
     powers = [np.ones(mechanism.p), *(np.array([*(torque_power(s.unit) for s in e.sizes), *(0.0 for _ in e.shapes)])
                                       for e in model.effects)]
     nuisances = nuisances_of(candidates, model.problem, stated)
     found = tolerated([total(scores), *scores], (free, None), nuisances, model.state.beta * np.concatenate(powers),
                       mechanism, stated, np.zeros(len(nuisances)))
     if found is None:
-        return covariance
+        return values, covariance
     wide = np.zeros((free.size, free.size))
     own = np.flatnonzero(free)
     directions = found.marginal.directions
     wide[np.ix_(own, own)] = found.marginal.noise + directions.T @ directions
-    step = 2.0 * found.step[: free.size]
-    wide += np.outer(step, step) / 3.0
-    return covariance + wide[: model.width, : model.width]
+    half = found.step[: model.width]
+    spread = half if not model.effects else 2.0 * half
+    return (values if model.effects else values + half,
+            covariance + wide[: model.width, : model.width] + np.outer(spread, spread) / 3.0)

@@ -8,7 +8,7 @@ from estimator.fitting.disturbance import (
     find_disturbance,
     of_noise,
 )
-from estimator.fitting.fit import between_samples, fit
+from estimator.fitting.fit import fit, fit_nominal
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend, iterate
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
@@ -38,7 +38,6 @@ __all__ = [
     "Measurement",
     "Policies",
     "SmallFault",
-    "between_samples",
     "body_unit",
     "converge_motion",
     "descend",
@@ -52,6 +51,7 @@ __all__ = [
     "fit",
     "fit_admissible",
     "fit_each",
+    "fit_nominal",
     "free_mask",
     "gentle_start",
     "has_torque",

@@ -13,7 +13,7 @@ from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermi
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.motion_search import BetweenSamples, find_between
+from estimator.fitting.motion_search import NominalFit
 from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
@@ -59,22 +59,16 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
                                                    if not seen & {name for name, _ in found.amounts})))
 
 
-def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
-    """Hold, friction smoothing velocities and delay, as stated, or estimated where `options` say auto.
-
-    If no fit converges, the starting values.
-    """
-    if AUTO not in (options.hold, options.smoothing_velocity):
-        return BetweenSamples(options.hold, mechanism)
-    options = replace(options, noise={})
+def fit_nominal(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NominalFit:
+    """`NominalFit` of all runs; if no fit converges, one without a state."""
     try:
         if options.prior:
             check_known(mechanism, options.prior)
         require_scale(datasets, mechanism, options)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that diverges raises
-            return find_between(datasets, mechanism, options)
+            return NominalFit.of(datasets, mechanism, options)
     except FitError:
-        return BetweenSamples(FIRST if options.hold == AUTO else options.hold, mechanism)
+        return NominalFit(FIRST if options.hold == AUTO else options.hold, mechanism)
 
 
 def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method) -> FitResult:

@@ -35,7 +35,7 @@ from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.loop_terms import Extra, Fitted, extended, scattered, with_loop_terms
-from estimator.fitting.motion_search import search_hold, search_motion, without_age
+from estimator.fitting.motion_search import search_hold, without_age
 from estimator.fitting.noise_levels import (
     colour,
     disturbance_levels,
@@ -132,9 +132,6 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     problem, state, chosen = search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
-    if chosen is not None and chosen.hold != options.hold:
-        options = replace(options, hold=chosen.hold)
-        problem, state = search_motion(signals, mechanism, options, free, beta, state)
     state = with_unseen_torque(problem, state, free, options)
     problem, state, cause = _with_disturbance(problem, state, signals, free, options)
     loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)

@@ -1,7 +1,7 @@
 """Motion, parameters and noise levels that are likeliest under one hold, from readings alone: `search_motion`.
 
-Before it, an IMU's age is taken off; after it, the likeliest hold is chosen. `find_between` and `find_loop` stop there:
-they want times and values of loops, no fit with its intervals.
+Before it, an IMU's age is taken off; after it, the likeliest hold is chosen. `NominalFit` stops there: it is what
+every verb begins with. `find_loop` wants values of loops alone.
 """
 
 from __future__ import annotations
@@ -34,27 +34,34 @@ LEAST_AGE = (1e-3, 0.1)
 the fit."""
 
 
-class BetweenSamples(NamedTuple):
-    """Hold, friction smoothing velocities and delay of a torque between samples, as `fit_mle` takes them."""
+class NominalFit(NamedTuple):
+    """The likeliest model of runs without any effect, and how torque acts between their samples."""
 
     hold: str
     mechanism: Mechanism
-    """With these velocities."""
+    """With the friction's smoothing velocities."""
+    state: State | None = None
+    """Where the fit ends; not converged where the readings of an IMU were moved, or a run has levels of its own. None
+    where there is no fit."""
     delay_s: float = 0.0
-    """How long after the hold says it acts, as far as that is likelier than not at all [s]."""
+    """How long after the hold says a torque acts, as far as that is likelier than not at all [s]."""
     others_s: tuple[float, ...] = ()
     """That by the next hold, where these data hardly tell both apart."""
 
-
-def find_between(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> BetweenSamples:
-    """Hold, friction smoothing velocities and delay, by the motion where `options` state none. Raises `FitError`."""
-    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-    signals, _ = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
-    problem, _, chosen = search_hold(signals, mechanism, options, *mask)
-    if chosen is None:
-        return BetweenSamples(problem.collocation.hold, problem.mechanism)
-    others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
-    return BetweenSamples(chosen.hold, problem.mechanism, chosen.delay_s, others)
+    @classmethod
+    def of(cls, datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NominalFit:
+        """The fit of all runs, with the hold and velocities that `options` state, or the likeliest. Raises
+        `FitError`."""
+        signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
+        signals, age_s = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
+        problem, state, chosen = search_hold(signals, mechanism, options, *mask)
+        whole = state.converged and not age_s and state.noise.scale is None
+        found = cls(problem.collocation.hold, problem.mechanism, replace(
+            state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole))
+        if chosen is None:
+            return found
+        others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
+        return found._replace(delay_s=chosen.delay_s, others_s=others)
 
 
 def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
@@ -82,11 +89,15 @@ def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOpti
 
 def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
                  beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
-    """Problem and state of `search_motion`, and the likeliest hold at its end; FIRST begins where none is stated."""
+    """Problem and state of `search_motion` under the stated hold, or the likeliest, which is told; FIRST begins."""
     if options.hold != AUTO:
         return *search_motion(signals, mechanism, options, free, beta), None
     problem, state = search_motion(signals, mechanism, replace(options, hold=FIRST), free, beta)
-    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem, options)
+    chosen = choose_hold(signals, problem.mechanism, state, free, problem, options)
+    if chosen.hold != FIRST:
+        own = replace(options, hold=chosen.hold, smoothing_velocity="given")
+        problem, state = search_motion(signals, problem.mechanism, own, free, beta, state)
+    return problem, state, chosen
 
 
 def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from daq import Dataset, FloatArray, Rig
 from estimator import FitError
-from estimator.fitting import between_samples, fit_admissible
+from estimator.fitting import fit_admissible, fit_nominal
 from estimator.model import lag
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered
 from estimator.signals import split_signals
@@ -71,7 +71,7 @@ class Bench:
     def between(self, rig: Rig) -> tuple[str, float]:
         """Hold between samples, and the delay beyond it [s], that are likeliest on the grid of `rig`."""
         setup = setup_of(self.runs(rig), rig, self.sensors, self.fixed)
-        found = between_samples(setup.datasets, setup.mechanism, setup.options)
+        found = fit_nominal(setup.datasets, setup.mechanism, setup.options)
         return found.hold, found.delay_s
 
     def trial(self, rig: Rig) -> Trial:

@@ -15,7 +15,7 @@ from estimator.diagnosis.context import DiagnosisContext, detected, generic_exte
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily, family_of
-from estimator.diagnosis.model import Model, fit_nominal
+from estimator.diagnosis.model import Model, nominal_model
 from estimator.diagnosis.search import search
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
@@ -79,7 +79,7 @@ def search_runs(runs: Sequence[Dataset]) -> Searched:
     def say(stage: str, fraction: float) -> None:
         pass
 
-    context, tests = scored(fit_nominal(split), candidates, named, np.random.default_rng(0), say)
+    context, tests = scored(nominal_model(split), candidates, named, np.random.default_rng(0), say)
     generic = generic_extension(context, context.nominal, tests) if detected(context, tests) else None
     found = search(context, tests, say)
     return Searched(context, tests, generic, found, family_of(context, found, generic))

@@ -11,7 +11,7 @@ from estimator import FitOptions
 from estimator.diagnosis.context import DiagnosisContext, scored
 from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import fit_nominal, gain_over
+from estimator.diagnosis.model import gain_over, nominal_model
 from estimator.effects import battery, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
@@ -33,7 +33,7 @@ def context_of(faults: tuple[tuple[str, float], ...], spring: float = 0.0, state
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, True, split.encoders)]
-    return scored(fit_nominal(split), candidates, named, np.random.default_rng(0), lambda stage, share: None)[0]
+    return scored(nominal_model(split), candidates, named, np.random.default_rng(0), lambda stage, share: None)[0]
 
 
 def result_of(context: DiagnosisContext) -> Corrected | None:

@@ -16,7 +16,7 @@ from estimator import Diagnosis, FitError, FitOptions, diagnose
 from estimator.diagnosis import model as models
 from estimator.diagnosis.account import base
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import fit_nominal
+from estimator.diagnosis.model import nominal_model
 from estimator.effects import library
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.fitting import iterate
@@ -99,7 +99,7 @@ def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> 
     for order in ([0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0]):
         split = split_runs([data[k] for k in order], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
         parts = [[split.names[i] for i in part] for part in (split.train, split.test)]
-        fits.append((parts, fit_nominal(split).state.beta.tolist()))
+        fits.append((parts, nominal_model(split).state.beta.tolist()))
     assert fits[0] == fits[1] == fits[2]
     assert sorted(name for part in fits[0][0] for name in part) == [run.name for run in data]
 
@@ -183,6 +183,6 @@ def test_a_nominal_fit_that_does_not_converge_has_no_intervals(runs: tuple[Leg, 
         return iterate(problem, state, free, *rest)
 
     monkeypatch.setattr(models, "iterate", stuck)
-    nominal = fit_nominal(split)
+    nominal = nominal_model(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
     assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)

@@ -20,8 +20,8 @@ from estimator.diagnosis.model import (
     begin_afresh,
     bootstrap_scores,
     converge_runs,
-    fit_nominal,
     gain_over,
+    nominal_model,
     pooled_bias,
     refit,
     score_train,
@@ -75,7 +75,7 @@ def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> 
 def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False) -> tuple[Model, Model]:
     """Nominal fit, and the fit with the effect."""
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
-    nominal = fit_nominal(split)
+    nominal = nominal_model(split)
     start = np.zeros(effect.count)
     if afresh:
         start[0] = 0.1
@@ -102,7 +102,7 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     split = replace(split, train=tuple(i for i in range(len(data)) if i != new), test=(new,))
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
-    nominal = fit_nominal(split)
+    nominal = nominal_model(split)
     model = refit(nominal, [(effect, start)], 40)
     # flanks that samples cross to and fro keep it from settling: 0.074 after 20 steps, 0.077 after 300, and one
     # processor's rounding takes another way there than another's
@@ -128,7 +128,7 @@ def test_a_few_steps_end_at_the_likeliest_motion() -> None:
     """An arm's encoder scale of 8 %: after two steps its deviance was 6,000 above that of the likeliest motion."""
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.02), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
-    nominal = fit_nominal(split)
+    nominal = nominal_model(split)
     model = refit(nominal, [(TorqueDelay(), np.array([0.04]))], 2, hold_shapes=True)
     again = replace(model, state=converge_motion(model.problem, model.state))
     assert gain_over(again, model) == pytest.approx(0.0, abs=1.0)
@@ -140,7 +140,7 @@ def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_conv
     """A servo's leg against a stiff stop takes its torque for noise with every effect, and with none."""
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.008), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
-    nominal, delay = fit_nominal(split), [(TorqueDelay(), np.zeros(1))]
+    nominal, delay = nominal_model(split), [(TorqueDelay(), np.zeros(1))]
     monkeypatch.setattr(models, "mistaken_torques", lambda *_: [1])
     with pytest.raises(FitError, match="torque for noise"):
         refit(nominal, delay)
@@ -157,7 +157,7 @@ def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_conv
 def test_no_run_changes_the_motion_of_another() -> None:
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.0), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
-    model = fit_nominal(split)
+    model = nominal_model(split)
     problem, x = model.problem, model.state.x
     begin = problem.run_starts[1]
     far = np.where(np.arange(problem.total)[:, None] < begin, x.v + 3.0, x.v + 1e-3)
@@ -231,7 +231,7 @@ def test_a_replicate_that_the_model_fits_worse_than_the_run_is_left_out() -> Non
     runs = [pendulum_run(f"r{k}", 70 + k, noise=0.01 if k == 0 else 1.0) for k in range(4)]
     split = replace(split_runs(runs, mechanism(), FitOptions(sensors="encoder")), test=())
     split = replace(split, train=tuple(range(4)))
-    nominal, candidates = fit_nominal(split), [Candidate(QuadraticDrag(0)), Candidate(JointStiffness(0))]
+    nominal, candidates = nominal_model(split), [Candidate(QuadraticDrag(0)), Candidate(JointStiffness(0))]
     scores = score_train(nominal, candidates)
     found = bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
     quiet = split.names.index("r0")
@@ -250,7 +250,7 @@ def test_a_model_that_is_measured_twice_is_as_likely_twice(workers: int) -> None
     """Where a joint rests is found once, with the nominal model: all explanations have the same weights."""
     split = split_runs([pendulum_run(f"r{k}", 70 + k) for k in range(8)], mechanism(), FitOptions(sensors="encoder"),
                        workers=workers)
-    nominal = fit_nominal(split)
+    nominal = nominal_model(split)
     assert len(split.test) == 2 and set(split.test) <= set(nominal.split.stiction)
     table = measure([nominal, nominal], 0, white_noise(nominal.state.noise), np.random.default_rng(0), [0])
     assert table.agreement.tolist() == [[0.0, 0.0]] * 2 and table.error(1) == table.error(0) < 1.5

@@ -14,7 +14,7 @@ from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.decision_rule import EDGE, WHOLE_RUNS
 from estimator.diagnosis.error_table import NOMINAL, floor_of, measure, sensors_of
 from estimator.diagnosis.family import _Rows, hidden_motion
-from estimator.diagnosis.model import Model, fit_nominal, smooth
+from estimator.diagnosis.model import Model, nominal_model, smooth
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.likelihood import Noise, Process
@@ -32,7 +32,7 @@ def nominal(wanders: bool, options: FitOptions | None = None) -> Model:
     time = np.arange(2000) / 100.0
     runs = [disturbed_record(leg, rng, 0.03, 0.2, f"run{k}") if wanders else
             record(leg, rng, tau=multisine(rng, time, 1.2), name=f"run{k}", spring=(0.5, 0.2)) for k in range(RUNS)]
-    return fit_nominal(split_runs(runs, leg2(lever_arm=leg.lever), options or FitOptions()))
+    return nominal_model(split_runs(runs, leg2(lever_arm=leg.lever), options or FitOptions()))
 
 
 def error(model: Model, floor: FloorNoise) -> float:

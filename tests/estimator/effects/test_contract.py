@@ -18,7 +18,7 @@ import pytest
 from daq import Dataset, FloatArray
 from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import Model, fit_nominal, refit
+from estimator.diagnosis.model import Model, nominal_model, refit
 from estimator.effects import GearEffect, LawEffect, Laws, Shape, Size, classes, placed
 from estimator.effects.registry import joints_of, library_classes
 from estimator.likelihood import Candidate, Latents
@@ -215,7 +215,7 @@ def fitted(effect: Effect, runs: list[Dataset], options: FitOptions, gear: float
     default = [0.0] * len(effect.sizes) + [s.grid[len(s.grid) // 2] for s in effect.shapes]
     begin = np.array([start.get(part.name, value) for part, value in zip(parts, default)])
     split = split_runs(runs, mechanism_of(type(effect)), options, gear)
-    nominal = fit_nominal(replace(split, train=(0, 1, 2), test=()))
+    nominal = nominal_model(replace(split, train=(0, 1, 2), test=()))
     model = refit(nominal, [(effect, begin)], 40)
     return nominal, model, dict(zip([part.name for part in parts], map(float, model.sizes()[0])))
 

@@ -12,7 +12,7 @@ from daq import Dataset
 from daq.runs import RawTable
 from daq.timing import align_table
 from estimator import FitOptions, fit
-from estimator.fitting import between_samples
+from estimator.fitting import fit_nominal
 from estimator.fitting.hold_choice import HoldChoice
 from estimator.model import GAUSS, HOLDS, Collocation, lag, leg2
 from estimator.model.collocation import spline_slopes
@@ -65,7 +65,7 @@ def test_a_controller_s_torque_is_recognised_as_smooth() -> None:
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto")
     found = fit([run], mechanism, options)
     assert found.hold == "smooth" and (found.hold_margin or 0.0) > 5.0
-    hold, known, *_ = between_samples([run], mechanism, options)  # without the rest of a fit
+    hold, known, *_ = fit_nominal([run], mechanism, options)  # without the rest of a fit
     assert hold == found.hold and known == found.mechanism
     line = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="linear"))
     assert found.noise.get("unseen2_nm", 0.0) < line.noise["unseen2_nm"]  # a line between samples misses the curve
@@ -124,7 +124,7 @@ def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     rng = np.random.default_rng(11)
     leg = random_leg(rng)
     runs = [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
-    assert between_samples(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
+    assert fit_nominal(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
 
 
 @pytest.mark.parametrize(("between", "hold"), [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
@@ -135,7 +135,7 @@ def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str,
     runs = [record_timed(leg, rng, Timing(200, between=between), seconds=8.0, name=f"r{k}") for k in range(4)]
     coarse = [align_table(RawTable(run.name, run.time_s, run.columns), 100.0) for run in runs]
     assert coarse[0].averaged == pytest.approx(2.0) and runs[0].averaged == 1.0
-    assert between_samples(coarse, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[:1] == (hold,)
+    assert fit_nominal(coarse, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[:1] == (hold,)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -166,7 +166,7 @@ def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:
     leg = random_leg(rng)
     run = record_timed(leg, rng, Timing(500, delay_s=0.015), seconds=3.0)
     short = [replace(run.part(slice(k, k + 60)), name=f"r{k}") for k in range(300, 1400, 60)]
-    hold, *_ = between_samples(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
+    hold, *_ = fit_nominal(short, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
     assert hold in HOLDS
 
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import fit_nominal, refit
+from estimator.diagnosis.model import nominal_model, refit
 from estimator.effects import Backlash, EncoderOffset, StribeckFriction
 from estimator.effects.base_compliance import BaseCompliance
 from estimator.effects.presliding_friction import PreslidingFriction
@@ -244,7 +244,7 @@ def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     leg = Leg()
     runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
     session = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
-    nominal = fit_nominal(session)
+    nominal = nominal_model(session)
     effect = StribeckFriction(1)
     low = effect.clipped(np.array([0.01, 1e-9, 2.0]))[1]
     assert list(effect.at_limits(np.array([0.01, low, 2.0]))) == [True, False]

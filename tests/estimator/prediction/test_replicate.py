@@ -7,7 +7,7 @@ import pytest
 
 from estimator import FitOptions
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model import fit_nominal
+from estimator.diagnosis.model import nominal_model
 from estimator.model import leg2
 from estimator.prediction import draw_replicate, simulate_run
 from tests.support.mujoco_leg import random_leg, record
@@ -25,7 +25,7 @@ def test_axes_of_a_replicate_have_their_levels_and_correlation() -> None:
     run.columns["accel_y_mps2"][:] += other
     options = FitOptions(sensors="imu", accel_correlation=0.6)
     split = split_runs([run], leg2(lever_arm=leg.lever), options)
-    model = fit_nominal(split)
+    model = nominal_model(split)
     noise, signals = model.state.noise, split.signals(split.train)
     assert noise.accel_correlation == 0.6 and noise.accel[0, 1] > 1.5 * noise.accel[0, 0]
     truth = simulate_run(model.problem, model.state, rng)
@@ -40,7 +40,7 @@ def test_axes_of_a_replicate_have_their_levels_and_correlation() -> None:
 def test_torques_of_a_replicate_correlate_as_declared() -> None:
     options = FitOptions(sensors="encoder", torque_correlation=((1.0, -0.5), (-0.5, 1.0)))
     split = split_runs([arm_run(1, seconds=20.0)], leg2(actuated=(0, 1)), options)
-    model = fit_nominal(split)
+    model = nominal_model(split)
     rng, signals = np.random.default_rng(4), split.signals(split.train)
     truth = simulate_run(model.problem, model.state, rng)
     replicates = [draw_replicate(model.problem, model.state, signals, rng, truth) for _ in range(DRAWS)]

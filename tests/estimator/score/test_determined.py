@@ -14,7 +14,7 @@ from estimator.diagnosis.account import finding
 from estimator.diagnosis.context import DiagnosisContext, assess, scored
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation, admissible, indistinguishable_set, undetermined
-from estimator.diagnosis.model import fit_nominal
+from estimator.diagnosis.model import nominal_model
 from estimator.diagnosis.search import exchanged, fit_sets, reduced
 from estimator.effects import Points, View
 from estimator.effects.joint_stiffness import JointStiffness
@@ -47,7 +47,7 @@ def sprung() -> DiagnosisContext:
             for run in runs]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     candidates = [Candidate(e) for e in (SPRING, HOSE, OFFSET)]
-    return scored(fit_nominal(split), candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
+    return scored(nominal_model(split), candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
 
 
 def fitted(context: DiagnosisContext, *effects: Effect) -> Explanation:
@@ -81,7 +81,7 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
 
 
 def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
-    context, tests = scored(fit_nominal(sprung.split), sprung.candidates, sprung.named, np.random.default_rng(1),
+    context, tests = scored(nominal_model(sprung.split), sprung.candidates, sprung.named, np.random.default_rng(1),
                             lambda *_: None, sprung.bias)
     found = exchanged(context, tests, [fitted(context, SPRING)])
     assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)

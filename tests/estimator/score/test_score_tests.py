@@ -10,7 +10,7 @@ import pytest
 from daq import Dataset
 from estimator import Effect, FitOptions
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.model import Model, fit_nominal, refit, run_states
+from estimator.diagnosis.model import Model, nominal_model, refit, run_states
 from estimator.effects import battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
@@ -25,7 +25,7 @@ def fitted(sensors: str) -> tuple[RunSplit, Model]:
     leg = Leg()
     runs: list[Dataset] = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors))
-    return split, fit_nominal(split)
+    return split, nominal_model(split)
 
 
 @pytest.fixture(scope="module", params=["imu", "encoder"])
