@@ -19,7 +19,7 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple
     """
     stated, mechanism = model.split.options.tolerances, model.split.mechanism
     values, leg = model.state.beta[: model.width], model.state.covariance[: model.width, : model.width]
-    if not np.isfinite(model.state.covariance).all():
+    if not np.isfinite(model.state.covariance).all() or (stated is None and covariance is not None):
         return values, leg if covariance is None else covariance
     candidates = () if stated is None else nuisance_candidates(model.problem, (), stated)
     scores = score_train(model, candidates)

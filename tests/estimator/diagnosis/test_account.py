@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from estimator import Diagnosis
+from estimator import Diagnosis, FitOptions
 from estimator.diagnosis.account import compared, undecided, with_blind_sensors, with_minor
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
@@ -88,8 +88,9 @@ def told(*sizes: tuple[Any, float, float]) -> Explanation:
     model: Any = SimpleNamespace(
         effects=tuple(e for e, *_ in sizes), named=tuple(e for e, *_ in sizes), sizes=lambda: values, width=spread.size,
         places=lambda: [slice(end - v.size, end) for v, end in zip(values, ends)],
-        state=SimpleNamespace(covariance=np.diag(spread**2)),
-        problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)), split=SimpleNamespace(delays_s=()))
+        state=SimpleNamespace(covariance=np.diag(spread**2), beta=np.concatenate(values)),
+        problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)),
+        split=SimpleNamespace(delays_s=(), mechanism=None, options=FitOptions()))
     known = np.ones(spread.size, dtype=bool)
     return Explanation(model, 900.0, replace(NOTHING_LEFT, freedom=1e6), inflation=np.ones(spread.size),
                        determined=known)

@@ -28,17 +28,19 @@ from estimator.diagnosis.model import (
     smooth,
 )
 from estimator.diagnosis.residual_signature import signature
+from estimator.diagnosis.tolerances import with_tolerances
 from estimator.effects import Backlash, TorqueDelay
 from estimator.effects.joint_elasticity import JointElasticity
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.effects.quadratic_drag import QuadraticDrag
 from estimator.effects.torque_ripple import TorqueRipple
-from estimator.fitting import converge_motion
+from estimator.fitting import converge_motion, fit, fit_nominal
 from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State
 from estimator.likelihood.free_run import free_run
 from estimator.model import joint1, leg2
 from estimator.prediction import per_value, white_noise
+from estimator.score import default_tolerances
 from estimator.signals import IMU_COLUMNS, SignalSet
 from evidence.blind.cases import Case, DrawnCase, draw_case
 from evidence.blind.effects import MOTOR_INERTIA
@@ -46,6 +48,8 @@ from evidence.blind.leg import stack
 from evidence.blind.measure import RATE_HZ, disturb, read
 from evidence.blind.physics import integrate
 from tests.support.driven_pendulum import mechanism, pendulum_run
+from tests.support.mujoco_leg import random_leg
+from tests.support.mujoco_leg import record as run_of
 
 COUNT, RUNS = 800, 4
 PEAK_NM = 0.6
@@ -122,6 +126,26 @@ def test_a_late_torque_is_found_between_samples(late_s: float) -> None:
     _, model = fitted(case, record(case, {}, late_s), TorqueDelay())
     ((found,),) = model.sizes()
     assert found == pytest.approx(late_s, abs=6e-4)  # noise interpolated between samples would draw it to 5 ms
+
+
+@pytest.mark.parametrize(("tolerances", "close"), [(None, 1e-6), (default_tolerances(), 0.01)])
+def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(
+        tolerances: dict[str, tuple[float, ...]] | None, close: float) -> None:
+    """Values in standard deviations. With tolerances the values move by a third of one, in both alike."""
+    rng = np.random.default_rng(6)
+    leg = random_leg(rng)
+    runs = [replace(run_of(leg, rng, seconds=8, hold="zero", high=8.0), name=f"r{k}") for k in range(4)]
+    m, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto", tolerances=tolerances)
+    split = split_runs(runs, m, options)
+    seen = [next(d for d in runs if d.name == split.names[i]) for i in split.train]
+    found, near = fit(seen, m, options), fit_nominal(seen, m, options)
+    assert near.state is not None and near.state.converged, "else the readings were not those of the split"
+    model = nominal_model(replace(split, mechanism=near.mechanism, options=replace(
+        options, hold=near.hold, smoothing_velocity="given")), near.state)
+    values, covariance = with_tolerances(model)
+    assert bool(tolerances) == np.any(np.abs(values - model.state.beta) > 0.2 * found.std)
+    assert values / found.std == pytest.approx(found.beta / found.std, rel=0.0, abs=close)
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(found.std, rel=0.01)
 
 
 def test_a_few_steps_end_at_the_likeliest_motion() -> None:
