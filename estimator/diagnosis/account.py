@@ -46,7 +46,7 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
                     error=(table.error(NOMINAL), table.error(NOMINAL if decision.answer is None else
                                                              decision.answer.row)),
                     compared=compared(family, first), in_library=probability,
-                    probability=None if probability is None else calibrated(probability),
+                    probability=None if probability is None else min(probability, calibrated(probability)),
                     remainder=remainder(family, decision))
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)

@@ -255,7 +255,9 @@ def _parameters(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
 
 
 def _ruled_out(found: DiagnosisDocument) -> Section | None:
-    rows = [[candidate_label(c), detectable_text(c), c.unit] for c in found.candidates if c.p_value > ALPHA]
+    named = {(c.effect, c.joint) for c in found.causes}
+    rows = [[candidate_label(c), detectable_text(c), c.unit] for c in found.candidates
+            if c.p_value > ALPHA and (c.effect, c.joint) not in named]
     return Section(
         "Ruled out",
         ["None of these is detected at or above the size given. These runs would not show smaller sizes. "

@@ -77,6 +77,15 @@ def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
     assert page.index(synthetic().sentence.replace("'", "&#39;")) < page.index("<h2>")
 
 
+def test_a_cause_that_is_named_is_not_ruled_out_by_its_own_score() -> None:
+    """Alone it can explain nothing, and a good deal next to another."""
+    cause, *_ = synthetic().causes
+    scores = tuple(replace(c, p_value=0.5) for c in synthetic().candidates)
+    rows = {section.title: str(section) for section in sections_of(replace(synthetic(), candidates=scores))}["Ruled out"]
+    others = [c.effect for c in scores if (c.effect, c.joint) != (cause.effect, cause.joint)]
+    assert others and cause.effect not in rows and all(name in rows for name in others)
+
+
 def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> None:
     head, rest = page[page.index("<body>"):].split("</header>")
     assert head.count("<svg") == 1 and axis_label("q2_rad") in head  # the joint of the cause
