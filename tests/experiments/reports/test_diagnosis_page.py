@@ -81,7 +81,8 @@ def test_a_cause_that_is_named_is_not_ruled_out_by_its_own_score() -> None:
     """Alone it can explain nothing, and a good deal next to another."""
     cause, *_ = synthetic().causes
     scores = tuple(replace(c, p_value=0.5) for c in synthetic().candidates)
-    rows = {section.title: str(section) for section in sections_of(replace(synthetic(), candidates=scores))}["Ruled out"]
+    sections = sections_of(replace(synthetic(), candidates=scores))
+    rows = {section.title: str(section) for section in sections}["Ruled out"]
     others = [c.effect for c in scores if (c.effect, c.joint) != (cause.effect, cause.joint)]
     assert others and cause.effect not in rows and all(name in rows for name in others)
 
