@@ -120,10 +120,16 @@ def leg(unit: float = 1.0) -> tuple[LatentProblem, State]:
     return problem, converge_motion(problem, state, 40)
 
 
-def test_differences_do_not_depend_on_the_unit_of_torque() -> None:
+@pytest.mark.parametrize("free_nm", [0.0, 0.05])
+def test_differences_do_not_depend_on_the_unit_of_torque(free_nm: float) -> None:
+    """Nor where friction is free at rest: there a share of log |det J|, which has units, must not hang on a level."""
     found = []
     for unit in (1.0, 1000.0):
         problem, state = leg(unit)
+        rest = np.zeros((problem.total, 2, 2))
+        rest[100:300] = (free_nm * unit) ** 2
+        problem = problem.with_stiction(rest)
+        state = converge_motion(problem, state, 40)
         other = replace(state, beta=state.beta * 1.05, noise=replace(state.noise, torque=state.noise.torque * 1.5))
         found.append(log_marginal(problem, converge_motion(problem, other, 40)) - log_marginal(problem, state))
     assert abs(found[0]) > 1.0 and found[1] == pytest.approx(found[0], rel=1e-6)
