@@ -75,18 +75,13 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
-    if options.hold == AUTO and (method != "mle" or options.latent == "free"):
-        options = replace(options, hold="linear")
-    _refuse_correlations(options, method)
     if options.prior:
         check_known(mechanism, options.prior)
-        if method != "mle" or options.latent == "free":
-            own = "--latent free" if method == "mle" else f"--method {method}"
-            raise FitError(f"{own} uses no prior, and the rig file has [prior]: fit by --method mle, or take it out")
     require_scale(datasets, mechanism, options)
-    if (method != "mle" or options.latent == "free") and not is_plain(mechanism, options):
+    if method != "mle" or options.latent == "free":
         own = "--latent free" if method == "mle" else f"--method {method}"
-        raise FitError(f"{own} knows one IMU on link 1 and encoders of all other joints: fit by --method mle")
+        _refuse(own, mechanism, options)
+        options = replace(options, hold="linear") if options.hold == AUTO else options
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
@@ -94,12 +89,14 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         return run(datasets, mechanism, options)
 
 
-def _refuse_correlations(options: FitOptions, method: Method) -> None:
-    """Raise where a correlation is declared that `method` would not use."""
-    known = options.latent == "trajectory" if method == "mle" else False
+def _refuse(own: str, mechanism: Mechanism, options: FitOptions) -> None:
+    """Raise where `own`, a method other than the default, would not use what is declared."""
     for name, given in (("accel_correlation", options.accel_correlation != 0.0 and options.sensors == "imu"),
                         ("torque_correlation", bool(options.torque_correlation))):
-        if given and not known:
-            own = "--latent free" if method == "mle" else f"--method {method}"
+        if given:
             raise FitError(f"{own} takes channels' noise for independent, and [noise] declares {name}: fit by "
                            "--method mle, or take the key out")
+    if options.prior:
+        raise FitError(f"{own} uses no prior, and the rig file has [prior]: fit by --method mle, or take it out")
+    if not is_plain(mechanism, options):
+        raise FitError(f"{own} knows one IMU on link 1 and encoders of all other joints: fit by --method mle")

@@ -74,10 +74,11 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     It stays as it was where a fit with them does not converge.
     """
     state = fitted.state
+    plain = Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
     own = [(key, j, start) for key in KINDS if key in keys for j in fitted.problem.mechanism.followers
            if (start := _start(fitted, key, j)) is not None]
     if not own:
-        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
+        return plain
     held = np.array([unlimited and key == "limit" for key, *_ in own])
     effects, starts = [KINDS[key](j) for key, j, _ in own], np.where(held, UNLIMITED, [start for *_, start in own])
     wide, count = extended(fitted.problem, fitted.signals, effects), len(own)
@@ -87,10 +88,10 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
         again = iterate(wide, begin, np.append(fitted.free, ~held), fitted.options,
                         noise_floors(wide, wide.mechanism, state.beta))
     except (FitError, np.linalg.LinAlgError):
-        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
+        return plain
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
     if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
-        return Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
+        return plain
     p = state.beta.size
     short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
                   state.iterations + again.iterations, misfit=again.misfit)
