@@ -8,7 +8,6 @@ ftservo-python-sdk (github.com/ftservo/FTServo_Python, scservo_sdk/sms_sts.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -105,11 +104,6 @@ def read(ident: int, address: int, size: int) -> bytes:
     return packet(ident, Instruction.READ, bytes([address, size]))
 
 
-def sync_read(idents: Sequence[int], address: int, size: int) -> bytes:
-    """Instruction: the same bytes of several, which answer one behind the other."""
-    return packet(BROADCAST, Instruction.SYNC_READ, bytes([address, size, *idents]))
-
-
 def silent_write(ident: int, address: int, data: bytes) -> bytes:
     """Instruction: bytes from an address on, which nobody answers. A sync write to one, as half duplex needs it."""
     return packet(BROADCAST, Instruction.SYNC_WRITE, bytes([address, len(data), ident]) + data)
@@ -132,11 +126,7 @@ def word(table: bytes, at: int) -> int:
 
 
 class Decoder(PacketStream[Packet]):
-    """Bytes to packets, from anywhere in a stream; counts what it threw away."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.bad_checksum = self.bad_length = 0
+    """Bytes to packets."""
 
     def _next(self) -> Packet | Thrown | None:
         start = self._buffer.find(HEADER)
@@ -151,16 +141,12 @@ class Decoder(PacketStream[Packet]):
             return THROWN
         length = self._buffer[3]
         if not 2 <= length <= LONGEST:
-            self.bad_length += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         end = 4 + length
         if len(self._buffer) < end:
             return None
         whole = self._buffer[:end]
         if checksum(whole[2:-1]) != whole[-1]:
-            self.bad_checksum += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         self._buffer = self._buffer[end:]
         return Packet(whole[2], whole[4], whole[5:-1])
