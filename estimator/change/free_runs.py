@@ -41,7 +41,7 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
 def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[str, float]:
     """Channel to its rms error over free runs of `SHORT_S` with the parameters `beta` (p,). Raises `FitError`."""
     model = replace(fit.model, parameters=beta)
-    table = tabulate([predict_run([smooth(model, run, fit.options)], [SHORT_S], misfits=False)])
+    table = tabulate([predict_run([smooth(model, run, fit.options)], [SHORT_S])])
     return {name: table.rms(0, name, SHORT_S) for name in table.judged}
 
 

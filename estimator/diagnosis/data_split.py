@@ -16,7 +16,7 @@ from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
 from estimator.model import Mechanism
-from estimator.options import FitOptions, accel_level, encoder_level, gyro_level, torque_level
+from estimator.options import FitOptions
 from estimator.score import RUNS
 from estimator.signals import SignalSet, split_signals
 
@@ -83,17 +83,7 @@ class RunSplit:
 
     def floors(self, problem: LatentProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""
-        least, known = noise_floors(problem, self.mechanism, beta), self.known
-        torque, encoder = least.torque.copy(), least.encoder.copy()
-        accel = least.accel.copy()
-        for j in range(self.mechanism.n):
-            torque[j] = _or(torque_level(known, j, j in self.mechanism.actuated), torque[j])
-            if np.isfinite(encoder[j]):
-                encoder[j] = _or(encoder_level(known, j), encoder[j])
-        gyro = np.array([_or(gyro_level(known, k), float(level)) for k, level in enumerate(least.gyro)])
-        for k, i in np.ndindex(accel.shape):
-            accel[k, i] = _or(accel_level(known, i, k), float(accel[k, i]))
-        return Noise(torque, encoder, gyro, accel)
+        return noise_floors(problem, self.mechanism, beta).with_declared(self.known, self.mechanism.actuated)
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
         """All segments of these runs."""
@@ -166,10 +156,6 @@ def by_excitation(runs: Sequence[Sequence[SignalSet]]) -> list[int]:
     """Numbers of the runs, from the largest rms torque to the least; runs alike in that by what they measured."""
     torque = [np.concatenate([s.torque.ravel() for s in run]) for run in runs]
     return sorted(range(len(runs)), key=lambda i: (-float(np.mean(torque[i] ** 2)), torque[i].tobytes()))
-
-
-def _or(declared: float | None, least: float) -> float:
-    return least if declared is None else declared
 
 
 def _parts(data: Dataset) -> list[Dataset]:

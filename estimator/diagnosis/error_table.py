@@ -108,7 +108,7 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
         fitted = [smooth(model, split.test[k]) for model in models]
         floor = floor_of(models[unit], split.test[k], fitted[unit], seeds[k], DECIDING_S, noise,
                          len(seeds)).mean(axis=-1)
-        found = predict_run(fitted, DECIDING_S, misfits=False)
+        found = predict_run(fitted, DECIDING_S)
         return replace(found, misfits=np.array([one.misfit(models[unit].state.noise) for one in fitted])), floor
 
     parts = parallel_map(measured, len(split.test), split.workers)

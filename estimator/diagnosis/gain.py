@@ -56,7 +56,7 @@ def measure_gain(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng
 
     def predicted(k: int) -> tuple[PredictedRun, FloatArray]:
         *both, fitted = smoothed[k]
-        found = predict_run(both, [horizon_s], misfits=False)
+        found = predict_run(both, [horizon_s])
         if not np.isfinite(found.simulated[1]).all():
             raise FitError("the free run diverges")
         floor = floor_of(extended, split.test[k], fitted, seeds[k], [horizon_s], noise, len(seeds))

@@ -241,7 +241,7 @@ def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
     """Free runs over SHORT_S of each train run from the fitted motion."""
     split, states = model.split, zip(model.split.train, run_states(model))
     every = [SmoothedRun(split.names[i], tuple(split.runs[i]), model.on(i), state) for i, state in states]
-    return tuple(predict_run([one], [SHORT_S], misfits=False) for one in every)
+    return tuple(predict_run([one], [SHORT_S]) for one in every)
 
 
 def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int]) -> dict[int, PredictedRun]:

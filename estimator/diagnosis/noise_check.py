@@ -14,7 +14,7 @@ from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.model import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistaken_torques
 from estimator.options import accel_level, encoder_level, gyro_level
-from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level
+from estimator.signals import Channel, encoder_of, imu_channels
 
 
 def declared_levels(model: Model) -> dict[Channel, float | None]:
@@ -34,15 +34,15 @@ def noise_ratios(model: Model) -> dict[Channel, tuple[float, float]]:
     EDGE only.
     """
     problem, noise = model.problem, model.state.noise
-    fitted = {encoder_of(j): (noise.encoder[j], problem.shown.encoder[j])
+    shown = problem.shown
+    fitted = {encoder_of(j): (noise.encoder[j], shown.encoder[j])
               for j in map(int, np.flatnonzero(problem.has_encoder))}
     for k in range(problem.imu_count):
-        for channel, level, readings in zip(imu_channels(k), (noise.gyro[k], *noise.accel[k]),
-                                            (problem.gyro[k], *problem.accel[k]), strict=True):
-            fitted[channel] = level, white_noise_level(readings)
+        levels = zip((noise.gyro[k], *noise.accel[k]), (shown.gyro[k], *shown.accel[k]), strict=True)
+        fitted |= dict(zip(imu_channels(k), levels, strict=True))
     declared = declared_levels(model)
-    return {channel: (float(level) / (declared[channel] or max(1e-12, float(shown))),
-                      EDGE**2 if declared[channel] is None else EDGE) for channel, (level, shown) in fitted.items()}
+    return {channel: (float(level) / (declared[channel] or max(1e-12, float(usual))),
+                      EDGE**2 if declared[channel] is None else EDGE) for channel, (level, usual) in fitted.items()}
 
 
 def in_words(channel: Channel, ratio: float) -> str:
@@ -60,25 +60,14 @@ def noisy_sensors(model: Model) -> dict[Channel, float]:
 
 def with_declared_noise(model: Model) -> Model:
     """`model` fitted again, its noisy sensors held at the noise that they are known to have. Raises `FitError`."""
-    held: dict[str, float] = {}
     noise = model.state.noise
-    encoder, gyro, accel = noise.encoder.copy(), noise.gyro.copy(), noise.accel.copy()
-    for channel, ratio in noisy_sensors(model).items():
-        if channel.kind == "encoder":
-            j = channel.joint or 0
-            encoder[j] /= ratio
-            held[f"encoder{j + 1}_rad"] = float(encoder[j])
-            continue
-        k = next(k for k in range(model.problem.imu_count) if channel in imu_channels(k))
-        if channel.kind == "gyro":
-            gyro[k] /= ratio
-            held[f"gyro{k + 1}_radps"] = float(gyro[k])
-        else:
-            axis = ("accel_x", "accel_y").index(channel.kind)
-            accel[k, axis] /= ratio
-            held[f"accel{k + 1}_{'xy'[axis]}_mps2"] = float(accel[k, axis])
+    levels = {encoder_of(j): (f"encoder{j + 1}_rad", level) for j, level in enumerate(noise.encoder)}
+    for k, (gyro, accel) in enumerate(zip(noise.gyro, noise.accel)):
+        names = f"gyro{k + 1}_radps", f"accel{k + 1}_x_mps2", f"accel{k + 1}_y_mps2"
+        levels |= dict(zip(imu_channels(k), zip(names, (gyro, *accel)), strict=True))
+    held = {levels[channel][0]: float(levels[channel][1]) / ratio for channel, ratio in noisy_sensors(model).items()}
     split = replace(model.split, options=replace(model.split.options, noise=held))
-    state = replace(model.state, noise=replace(noise, encoder=encoder, gyro=gyro, accel=accel))
+    state = replace(model.state, noise=noise.with_declared(held, ()))
     return refit(replace(model, split=split, state=state), list(zip(model.effects, model.sizes())))
 
 

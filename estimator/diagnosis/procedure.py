@@ -102,11 +102,15 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
-    begun = begin(nominal_model(split, near), candidates, named, rng, say, material)
+
+    def anew(nominal: Model, bias: Sequence[FloatArray] = ()) -> Begun:
+        return begin(nominal, candidates, named, rng, say, material, bias)
+
+    begun = anew(nominal_model(split, near))
     taken: tuple[SmallFault, ...] = ()
     less = within_tolerances(begun, [Explanation(begun.context.nominal, 0.0)])
     if less is not None:
-        clean = begin(less.nominal, candidates, named, rng, say, material, begun.context.bias)
+        clean = anew(less.nominal, begun.context.bias)
         if least_error(clean.context, []) <= EDGE:
             begun, taken = clean, less.faults
     if stated is not None and begun.there:
@@ -114,12 +118,11 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
         if other is not None:
             with suppress(FitError):
                 again = replace(begun.context.split, mechanism=other, stiction={})
-                nominal = nominal_model(again, nearby(begun.context.nominal))
-                begun = begin(nominal, candidates, named, rng, say, material, begun.context.bias)
+                begun = anew(nominal_model(again, nearby(begun.context.nominal)), begun.context.bias)
     found = searched(begun, say)
     less = within_tolerances(begun, [e for e in first_of_each(found) if e.has_residual and admissible(e)])
     if less is not None:
-        clean = begin(less.nominal, candidates, named, rng, say, material, begun.context.bias)
+        clean = anew(less.nominal, begun.context.bias)
         fewer = searched(clean, say)
         if least_error(clean.context, fewer) <= EDGE:
             begun, found, taken = clean, fewer, together_with(taken, less.faults)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.noise_levels import accel_levels
+from estimator.fitting.noise_levels import first_levels
 from estimator.fitting.wls import design_rows, free_mask, trajectory, weighted_least_squares
 from estimator.model import Collocation, Mechanism, Motion
 from estimator.options import FitOptions
@@ -27,9 +27,8 @@ from estimator.signals import (
     Kinematics,
     SignalSet,
     accelerometer,
-    quantum,
+    encoder_level,
     split_signals,
-    white_noise_level,
 )
 
 SUBSTEPS = 4
@@ -228,13 +227,9 @@ def build_filter(signals: SignalSet, mechanism: Mechanism, options: FitOptions, 
     levels = []
     for j in encoders:
         given = options.encoder_noise(j)
-        angle = signals.angles[:, j]
-        shown = max(white_noise_level(angle), quantum(angle) / np.sqrt(12.0))
-        levels.append(max(shown if given is None else given, EXACT_RAD))
+        levels.append(max(encoder_level(signals.angles[:, j]) if given is None else given, EXACT_RAD))
     if imu:
-        gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
-        levels.append(options.noise.get("gyro_radps", max(white_noise_level(gyro), 1e-6)))
-        levels += accel_levels(options, ax, ay).tolist()
+        levels += first_levels(options, [signals.imu[name] for name in IMU_COLUMNS]).tolist()
     torque = np.zeros(mechanism.n)
     for j in mechanism.actuated:
         known = options.torque_noise(j, True)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.prior import combined
-from estimator.fitting.profile_likelihood import EXACT_ENCODER
 from estimator.fitting.wls import driven_first, stack_regressors, weighted_least_squares
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import STEPPED, Mechanism
@@ -38,23 +37,9 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
     if options.prior:
         beta = combined(mechanism, options.prior, beta, signals[0].rate_hz / cutoff * covariance)
     shown = problem.shown
-    torque = np.maximum(sigma, shown.torque)
-    for j in range(mechanism.n):
-        declared = options.torque_noise(j, j in mechanism.actuated)
-        torque[j] = torque[j] if declared is None else declared
-    encoder = np.full(mechanism.n, np.inf)
-    for j in map(int, np.flatnonzero(problem.has_encoder)):
-        given = options.encoder_noise(j)
-        encoder[j] = max(shown.encoder[j], 1e-7) if given is None else max(given, EXACT_ENCODER)
-    gyro, accel = shown.gyro.copy(), shown.accel.copy()
-    for k in range(problem.imu_count):
-        given = options.gyro_noise(k)
-        gyro[k] = max(shown.gyro[k], 1e-6) if given is None else given
-        for i in range(2):
-            given = options.accel_noise(i, k)
-            accel[k, i] = max(shown.accel[k, i], 1e-5) if given is None else given
-    return State(_latents(problem, motions), beta, Noise(torque, encoder, gyro, accel, options.accel_correlation,
-                                joint_correlation(mechanism, options)), covariance)
+    noise = Noise(np.maximum(sigma, shown.torque), np.maximum(shown.encoder, 1e-7), np.maximum(shown.gyro, 1e-6),
+                  np.maximum(shown.accel, 1e-5), options.accel_correlation, joint_correlation(mechanism, options))
+    return State(_latents(problem, motions), beta, noise.with_declared(options.noise, mechanism.actuated), covariance)
 
 
 def start_motion(problem: LatentProblem, signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions
@@ -100,19 +85,11 @@ def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Me
     slow = replace(options, cutoff_hz=GENTLE * options.cutoff(signals[0].rate_hz))
     state = start_state(problem, signals, mechanism, slow, free, beta)
     noise, still = state.noise, np.zeros((problem.total, problem.block))
-    nothing = np.zeros(0, dtype=np.intp)
-    left = problem.residuals_after(problem.linearise(state.x, state.beta, noise), still, np.zeros(0), nothing)
-
-    def level(r: FloatArray, least: float) -> float:
-        return max(float(np.sqrt(np.mean(r * r))), least) if np.isfinite(least) else least
-
-    torque, encoder = (np.array([level(left[k][:, j], least[j]) for j in range(problem.n)])
-                       for k, least in (("torque", noise.torque), ("encoder", noise.encoder)))
-    gyro, accel = noise.gyro.copy(), noise.accel.copy()
-    for k in range(problem.imu_count):
-        gyro[k] = level(left["gyro"][k], noise.gyro[k])
-        accel[k] = [level(left["accel"][k, :, i], noise.accel[k, i]) for i in range(2)]
-    state.noise = replace(noise, torque=torque, encoder=encoder, gyro=gyro, accel=accel)
+    point = problem.linearise(state.x, state.beta, noise)
+    left = problem.residuals_after(point, still, np.zeros(0), np.zeros(0, dtype=np.intp))
+    levels = {kind: np.fmax(np.sqrt(np.mean(r**2, axis=-1 if kind == "gyro" else -2)), getattr(noise, kind))
+              for kind, r in left.items() if kind != "e"}  # inf stays where nothing is read
+    state.noise = replace(noise, **levels)
     return state
 
 

@@ -92,7 +92,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         return found.result
     with suppress(FitError):
         again = _fit(list(found.less), found.result.mechanism, replace(
-            options, hold=found.hold, smoothing_velocity="given"), found.known._replace(taken=found.faults))
+            options, hold=found.result.hold, smoothing_velocity="given"), found.known._replace(taken=found.faults))
         if again is not None and again.result.converged and again.value < found.value:
             first = found.result
             return replace(again.result, hold_margin=first.hold_margin, wall_s=first.wall_s + again.result.wall_s,
@@ -119,7 +119,6 @@ class _Fitted(NamedTuple):
     result: FitResult
     value: float
     """-2 log likelihood"""
-    hold: str
     known: _Known
     faults: tuple[SmallFault, ...] = ()
     less: Sequence[SignalSet] = ()
@@ -164,7 +163,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
                                        "Run legid diagnose")
     unseen = unseen_text(state.noise, mechanism.unit("N m"))
     said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), unseen, slow, found) if text)
-    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value, options.hold,
+    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value,
                    known._replace(aged=aged), faults, less)
 
 

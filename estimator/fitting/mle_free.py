@@ -26,7 +26,7 @@ from scipy.sparse.linalg import splu
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.noise_levels import accel_levels
+from estimator.fitting.noise_levels import first_levels
 from estimator.fitting.wls import around_samples, design_rows, filtered_torque, free_mask, weighted_least_squares
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Mechanism, Motion
 from estimator.numerics import pseudo_inverse
@@ -247,9 +247,9 @@ def _measured(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
                                (-ay - mechanism.lever_arm * gyro**2) / g, gyro]))
     joined = np.concatenate(parts, axis=1)
     raw = [np.concatenate([s.imu[name] for s in signals]) for name in IMU_COLUMNS]
-    gyro_level = options.noise.get("gyro_radps", max(white_noise_level(raw[0]), 1e-6))
-    tilt_levels = accel_levels(options, raw[1], raw[2]) / mechanism.gravity_mps2
-    return joined.ravel(), np.repeat([*tilt_levels, gyro_level], joined.shape[1])
+    gyro_level, *accel = first_levels(options, raw)
+    return joined.ravel(), np.repeat([*(level / mechanism.gravity_mps2 for level in accel), gyro_level],
+                                     joined.shape[1])
 
 
 def first_latents(problem: FreeProblem) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq import FloatArray
@@ -11,10 +13,11 @@ from estimator.options import FitOptions
 from estimator.signals import white_noise_level
 
 
-def accel_levels(options: FitOptions, ax: FloatArray, ay: FloatArray) -> FloatArray:
-    """(2,) of the accelerometer's axes [m/s^2] as declared, otherwise as neighbouring samples (N,) show them."""
-    known = (options.accel_noise(0), options.accel_noise(1))
-    return np.array([max(white_noise_level(a), 1e-5) if level is None else level for level, a in zip(known, (ax, ay))])
+def first_levels(options: FitOptions, readings: Sequence[FloatArray]) -> FloatArray:
+    """(3,) of the gyro and the accelerometer's axes as declared, otherwise as neighbouring samples (N,) show them."""
+    known = options.gyro_noise(), options.accel_noise(0), options.accel_noise(1)
+    return np.array([max(white_noise_level(x), least) if level is None else level
+                     for level, x, least in zip(known, readings, (1e-6, 1e-5, 1e-5), strict=True)])
 
 
 def torque_levels(noise: Noise, mechanism: Mechanism) -> dict[str, float]:

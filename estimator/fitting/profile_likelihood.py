@@ -13,7 +13,7 @@ positive definite along the motion is refused, as nearly all false minima are th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,6 @@ INNER_TOLERANCE = 1e-2
 """The latents are at their best where a step would lower the sum of squares by less than this."""
 TOLERANCE = 0.02
 """A search ends when beta would move by less than this share of its standard deviation."""
-EXACT_ENCODER = 1e-8
-"""Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
 EXACT_RAD = 1e-7
 """An encoder with less noise than this is taken as exact where a first motion is made."""
 MOST_SAMPLES = 500
@@ -100,9 +98,9 @@ def knows_noise(mechanism: Mechanism, options: FitOptions) -> bool:
 
 def known_noise(mechanism: Mechanism, options: FitOptions) -> Noise:
     """Noise levels of `options`, which `suits`."""
-    torque = np.array([options.torque_noise(j, j in mechanism.actuated) for j in range(mechanism.n)], dtype=np.float64)
-    encoder = [max(options.encoder_noise(j) or 0.0, EXACT_ENCODER) for j in range(mechanism.n)]
-    return Noise(np.maximum(torque, 1e-9), np.array(encoder))
+    none = np.zeros(mechanism.n)
+    found = Noise(none, none).with_declared(options.noise, mechanism.actuated)
+    return replace(found, torque=np.maximum(found.torque, 1e-9))
 
 
 def expected_misfit(problem: BatchProblem, samples: int) -> tuple[float, float]:

@@ -21,6 +21,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.wls import design_rows, free_mask, trajectory, weighted_least_squares
+from estimator.likelihood import Noise
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult
@@ -45,11 +46,7 @@ def recursive_estimates(z: FloatArray, torque: FloatArray, variance: FloatArray,
 
 def torque_variance(mechanism: Mechanism, sigma: FloatArray, options: FitOptions) -> FloatArray:
     """R's diagonal (n,): torque noise as declared, or the residual's of a first fit (n,) where it is not."""
-    variance = sigma**2
-    for j in range(mechanism.n):
-        level = options.torque_noise(j, j in mechanism.actuated)
-        variance[j] = variance[j] if level is None else level**2
-    return variance
+    return Noise(sigma, np.full(mechanism.n, np.inf)).with_declared(options.noise, mechanism.actuated).torque ** 2
 
 
 def fit_rls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:

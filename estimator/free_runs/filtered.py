@@ -25,7 +25,7 @@ def predict_filtered(models: Sequence[FittedModel], signals: Sequence[SignalSet]
 
     It favours none of the models. `signals` are the segments of all runs; `each_piece`: see `tabulate`.
     """
-    runs = [predict_run(filtered(models, name, segments, options), (horizon_s,), misfits=False)
+    runs = [predict_run(filtered(models, name, segments, options), (horizon_s,))
             for name, segments, _ in by_run(signals)]
     return tabulate(runs, 0, every_horizon=each_piece, each_piece=each_piece)
 

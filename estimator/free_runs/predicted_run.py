@@ -64,13 +64,13 @@ class PredictedRun:
 
 
 def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = HORIZONS_S,
-                data: Dataset | None = None, covariances: Sequence[FloatArray | None] = (), misfits: bool = True
+                data: Dataset | None = None, covariances: Sequence[FloatArray | None] = (), misfits: bool = False
                 ) -> PredictedRun:
     """Free runs of each model from its own motion in `smoothed`, one a model, all of one run.
 
     `data` is that run where encoders may be compared that no model reads, such as a benchmark's. A horizon that no
-    segment exceeds is as the whole. Bands are of the `covariances` (m, m), one a model, where any are given. Without
-    `misfits` they are NaN.
+    segment exceeds is as the whole. Bands are of the `covariances` (m, m), one a model, where any are given. `misfits`
+    are NaN unless they are asked for.
     """
     first = smoothed[0]
     problem = first.problem

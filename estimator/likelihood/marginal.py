@@ -39,8 +39,8 @@ def marginal_at(problem: LatentProblem, state: State, point: Linearised, solved:
     noise = state.noise
     weight = problem.motion_weight(noise)
     rest = problem.stiction(noise)
-    free = np.zeros((problem.left.size, 1)) if rest is None else rest[problem.left, 1]
-    fixed = 1.0 - np.mean(free / np.maximum(free.max(axis=0, initial=0.0), 1e-300), axis=1)
+    fixed = 1.0 if rest is None else 1.0 - np.mean(rest[problem.left, 1] / np.maximum(rest.max(axis=(0, 1)), 1e-300),
+                                                   axis=1)
     if noise.torque_correlation is None:
         torque = float(np.sum(np.log(problem.torque_variance(noise))))
     else:

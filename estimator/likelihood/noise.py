@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,6 +10,10 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.likelihood.noise_scale import NoiseScale
+from estimator.options import accel_level, encoder_level, gyro_level, torque_level
+
+EXACT_ENCODER = 1e-8
+"""Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
 
 
 def _no_gyro() -> FloatArray:
@@ -55,6 +60,20 @@ class Noise:
         """At some of the samples of its record."""
         return replace(self, scale=self.scale and self.scale.at(samples),
                        stiction=None if self.stiction is None else self.stiction[samples])
+
+    def with_declared(self, known: Mapping[str, float], actuated: Collection[int]) -> Noise:
+        """These levels, with those that are `known` by their keys of `[noise]` in their place; see EXACT_ENCODER."""
+        def given(level: float | None, own: float) -> float:
+            return own if level is None else level
+
+        torque = [given(torque_level(known, j, j in actuated), own) for j, own in enumerate(self.torque)]
+        encoder = [max(given(encoder_level(known, j), own), EXACT_ENCODER) if np.isfinite(own) else own
+                   for j, own in enumerate(self.encoder)]
+        gyro = [given(gyro_level(known, k), own) for k, own in enumerate(self.gyro)]
+        accel = [[given(accel_level(known, i, k), own) for i, own in enumerate(axes)]
+                 for k, axes in enumerate(self.accel)]
+        return replace(self, torque=np.array(torque), encoder=np.array(encoder), gyro=np.array(gyro),
+                       accel=np.reshape(accel, self.accel.shape))
 
     def levels(self) -> Noise:
         """Without what belongs to single samples: the noise of any record."""

@@ -24,7 +24,7 @@ from estimator.model.collocation import (
     ticks_of,
 )
 from estimator.model.forward_simulation import simulate
-from estimator.model.impact import land, leg_length
+from estimator.model.impact import land
 from estimator.model.mechanism import VELOCITY_SCALE, ImuPlace, Mechanism, Parameter, biped3, joint1, leg2
 from estimator.model.registry import builders, joint_counts, settings_of
 from estimator.model.regressor_numba import invert
@@ -34,6 +34,6 @@ __all__ = [
     "ACCEL", "ANGLE", "GAUSS", "HELD", "HOLDS", "PAST", "RATE", "RATE_FROM", "RATE_TO", "STEPPED", "TICKS",
     "VELOCITY_SCALE", "Collocation", "ImuPlace", "Mechanism", "Motion", "Parameter", "Samples", "after", "biped3",
     "body_values", "builders", "carried", "chain", "curves", "formula", "has_bodies", "invert", "joint1",
-    "joint_counts", "lag", "land", "leg2", "leg_length", "mean_sign", "parent_of", "rigid_parameters", "settings_of",
+    "joint_counts", "lag", "land", "leg2", "mean_sign", "parent_of", "rigid_parameters", "settings_of",
     "simulate", "smooth_sign", "ticks_of",
 ]

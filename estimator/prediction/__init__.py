@@ -4,13 +4,11 @@ What a free run, a horizon and an error are: see `estimator.free_runs`, whose na
 """
 
 from estimator.free_runs import (
-    BLOCK_S,
     HORIZONS_S,
     SHORT_S,
     FittedModel,
     PredictedRun,
     PredictionTable,
-    Ratio,
     SmoothedRun,
     channel_names,
     filtered_motion,
@@ -30,15 +28,14 @@ from estimator.prediction.learnt_structure import (
     words_of,
 )
 from estimator.prediction.predict import predict
-from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
+from estimator.prediction.replicate import draw_replicate, simulate_run
 from estimator.prediction.smoothing import per_value, smooth, smooth_segments, smooth_under
 from estimator.prediction.structure import driven_columns, repeated_share, state_columns, taken
 from estimator.prediction.torque_regression import LearntTorque
 from estimator.prediction.validation import Validation, segments_as, validations_of
-from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
+from estimator.prediction.walking import WalkAhead, walk_ahead
 
 __all__ = [
-    "BLOCK_S",
     "HORIZONS_S",
     "SHORT_S",
     "FittedModel",
@@ -46,16 +43,12 @@ __all__ = [
     "LearntTorque",
     "PredictedRun",
     "PredictionTable",
-    "Ratio",
     "RunSignals",
     "SmoothedRun",
-    "StepsAhead",
     "Structure",
     "Validation",
     "WalkAhead",
-    "Whole",
     "channel_names",
-    "draw_disturbance",
     "draw_replicate",
     "driven_columns",
     "filtered_motion",

@@ -108,7 +108,7 @@ def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitO
         found, _ = _learn(model, [runs[k] for k in others], [smoothed[k] for k in others], options)
         laws = [one.law for one in found]
         return [predict_run([smoothed[k], _smoothed(with_torques(model, laws), runs[k], options, smoothed[k])],
-                            HORIZONS_S, misfits=False) for k in folds[fold]]
+                            HORIZONS_S) for k in folds[fold]]
 
     predicted = [one for fold in parallel_map(left_out, len(folds), workers) for one in fold]
     table = tabulate(predicted, smoother=0)

@@ -1,7 +1,7 @@
 """Score and information of runs over parameters, effects and generic terms; projection, scatter, tests; tolerances."""
 
 from estimator.score.enlargement import enlarged
-from estimator.score.marginal import Marginal, Projected, discounted, marginalise, projected
+from estimator.score.marginal import Marginal, discounted, marginalise, projected
 from estimator.score.nuisances import (
     ONLY,
     STRUCTURE,
@@ -31,7 +31,7 @@ from estimator.score.sensor_faults import BEYOND, SensorFaults
 
 __all__ = [
     "ALPHA", "BEYOND", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance",
-    "Projected", "RunScores", "Score", "ScoreTests", "SensorFaults", "agreement_of", "columns_of",
+    "RunScores", "Score", "ScoreTests", "SensorFaults", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
     "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources", "torque_power",

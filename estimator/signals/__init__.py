@@ -6,7 +6,6 @@ from estimator.signals.channels import (
     GYRO,
     IMU_CHANNELS,
     Channel,
-    Kind,
     encoder_of,
     imu_channels,
     torque_of,
@@ -53,7 +52,7 @@ from estimator.signals.steps import SINCE, cut_steps, find_touchdowns
 
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "SLOW_SHARE",
-    "STANCE", "SUPPLY", "Channel", "Commands", "Kind", "Kinematics", "SignalSet",
+    "STANCE", "SUPPLY", "Channel", "Commands", "Kinematics", "SignalSet",
     "accelerometer", "accelerometer_at", "accelerometer_slopes", "added_by_delay", "angle_column", "by_run", "causal",
     "command_columns", "commands_of", "cut", "cut_steps", "differentiate", "earlier", "encoder_level",
     "encoder_of", "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "input_by_law",

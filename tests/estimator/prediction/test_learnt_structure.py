@@ -134,7 +134,7 @@ def test_it_reduces_the_error_of_runs_that_did_not_teach_it() -> None:
     fresh = runs_of(magnet, 2, 1)[0]
     smoothed = [smooth_segments(one, fresh.name, fresh.signals, OPTIONS, 0.0)
                 for one in (true_model(), with_torques(true_model(), found.laws))]
-    errors = predict_run(smoothed, [0.5], misfits=False)
+    errors = predict_run(smoothed, [0.5])
     before, after = np.sqrt(np.mean((errors.simulated[:, 0, :2] - errors.measured[:2]) ** 2, axis=(1, 2)))
     assert after < 0.5 * before
 
