@@ -42,11 +42,11 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
              ) -> Diagnosis:
     """The diagnosis of a decision by its `table`; the `first` one has the test runs alone."""
     best, nominal = decision.best, context.nominal
+    row = NOMINAL if decision.answer is None else decision.answer.row
     found = replace(base, material=context.share, budget=budget(table, decision.answer), rotations=rotations,
-                    error=(table.error(NOMINAL), table.error(NOMINAL if decision.answer is None else
-                                                             decision.answer.row)),
+                    error=(table.error(NOMINAL), table.error(row)),
                     compared=compared(family, first), in_library=probability,
-                    probability=None if probability is None else min(probability, calibrated(probability)),
+                    probability=probability and min(probability, calibrated(probability)),
                     remainder=remainder(family, decision))
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
@@ -305,12 +305,10 @@ def _where(found: Diagnosis) -> str:
 def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
               rng: np.random.Generator) -> Diagnosis:
     """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
-    model, mechanism = best.model, best.model.split.mechanism
-    p, names = mechanism.p, mechanism.names
-    covariance = best.covariance
+    model, covariance = best.model, best.covariance
+    names, std = model.split.mechanism.names, np.sqrt(np.diag(covariance))
     found = replace(
-        found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
-        extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
+        found, extended=dict(zip(names, map(float, model.state.beta))), extended_std=dict(zip(names, map(float, std))),
         effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
         extended_covariance=covariance,
         signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))

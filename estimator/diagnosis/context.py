@@ -105,7 +105,7 @@ class DiagnosisContext:
         return len(self.candidates)
 
     def once(self, what: str, of: object, make: Callable[[], T]) -> T:
-        """What `make` gives for this object, made once."""
+        """Result of `make` for this object, made once."""
         kept = self.made.setdefault(what, [])
         known: list[T] = [found for one, found in kept if one is of]
         if not known:
@@ -278,7 +278,7 @@ def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) ->
 
 
 def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, Any]:
-    """What an explanation has of its scores on the train runs."""
+    """Fields of an explanation that its scores on the train runs fill."""
     model = explanation.model
     scores = score_train(model, context.candidates)
     p = model.problem.mechanism.p

@@ -31,8 +31,9 @@ class Gain:
 
 
 def smoothed_tests(nominal: Model, extended: Model) -> list[list[SmoothedRun]]:
-    """Motion of each test run under both models by the smoother of `legid validate`, then by `smooth`, which holds the
-    noise of the extended fit, so that all explanations have the same weights."""
+    """Motion of each test run under both models by the smoother of `legid validate`, then by `smooth`.
+
+    It holds the noise of the extended fit, so that all explanations have the same weights."""
     split = extended.split
 
     def smoothed(k: int) -> list[SmoothedRun]:

@@ -239,9 +239,9 @@ def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
 
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
     """Free runs over SHORT_S of each train run from the fitted motion."""
-    split, states = model.split, zip(model.split.train, run_states(model))
-    every = [SmoothedRun(split.names[i], tuple(split.runs[i]), model.on(i), state) for i, state in states]
-    return tuple(predict_run([one], [SHORT_S]) for one in every)
+    split = model.split
+    return tuple(predict_run([SmoothedRun(split.names[i], tuple(split.runs[i]), model.on(i), state)], [SHORT_S])
+                 for i, state in zip(split.train, run_states(model)))
 
 
 def predicted_left_out(model: Model, scores: Sequence[Score], fold: Sequence[int]) -> dict[int, PredictedRun]:

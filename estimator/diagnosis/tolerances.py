@@ -25,9 +25,9 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple
     scores = score_train(model, candidates)
     free = np.diag(model.state.covariance) > 0.0
     if covariance is None:
-        names = tuple(model.split.names[i] for i in model.split.train)
-        own = RunScores(names, tuple(one.of(np.arange(free.size)) for one in scores))
-        covariance = agreement_of(own, model.state.beta, leg, free)[0]
+        by_run = RunScores(tuple(model.split.names[i] for i in model.split.train),
+                           tuple(one.of(np.arange(free.size)) for one in scores))
+        covariance = agreement_of(by_run, model.state.beta, leg, free)[0]
     if stated is None:
         return values, covariance
     powers = [np.ones(mechanism.p), *(np.array([*(torque_power(s.unit) for s in e.sizes), *(0.0 for _ in e.shapes)])

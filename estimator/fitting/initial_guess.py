@@ -86,7 +86,7 @@ def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Me
     state = start_state(problem, signals, mechanism, slow, free, beta)
     noise, still = state.noise, np.zeros((problem.total, problem.block))
     point = problem.linearise(state.x, state.beta, noise)
-    left = problem.residuals_after(point, still, np.zeros(0), np.zeros(0, dtype=np.intp))
+    left = problem.residuals_after(point, still, np.zeros(0), np.arange(0))
     levels = {kind: np.fmax(np.sqrt(np.mean(r**2, axis=-1 if kind == "gyro" else -2)), getattr(noise, kind))
               for kind, r in left.items() if kind != "e"}  # inf stays where nothing is read
     state.noise = replace(noise, **levels)

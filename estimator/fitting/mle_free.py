@@ -27,6 +27,7 @@ from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.noise_levels import first_levels
+from estimator.fitting.rls import torque_variance
 from estimator.fitting.wls import around_samples, design_rows, filtered_torque, free_mask, weighted_least_squares
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Mechanism, Motion
 from estimator.numerics import pseudo_inverse
@@ -213,9 +214,7 @@ def build_problem(signals: Sequence[SignalSet], mechanism: Mechanism, options: F
     rate = signals[0].rate_hz
     design = design_rows(signals, mechanism, options)
     _, _, sigma = weighted_least_squares(design.z, design.torque, free, given.copy(), 1.0)
-    for j in range(mechanism.n):
-        declared = options.torque_noise(j, j in mechanism.actuated)
-        sigma[j] = sigma[j] if declared is None else declared
+    sigma = np.sqrt(torque_variance(mechanism, sigma, options))
     imu = bool(signals[0].imu)
     lengths = [len(s.time_s) for s in signals]
     ends = np.cumsum(lengths)

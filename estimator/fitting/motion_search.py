@@ -56,12 +56,10 @@ class NominalFit(NamedTuple):
         signals, age_s = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
         problem, state, chosen = search_hold(signals, mechanism, options, *mask)
         whole = state.converged and not age_s and state.noise.scale is None
-        found = cls(problem.collocation.hold, problem.mechanism, replace(
-            state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole))
-        if chosen is None:
-            return found
-        others = (chosen.delay_s + chosen.apart_s,) if chosen.apart_s else ()
-        return found._replace(delay_s=chosen.delay_s, others_s=others)
+        state = replace(state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole)
+        delay_s, apart_s = (chosen.delay_s, chosen.apart_s) if chosen is not None else (0.0, 0.0)
+        return cls(problem.collocation.hold, problem.mechanism, state, delay_s,
+                   (delay_s + apart_s,) if apart_s else ())
 
 
 def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]

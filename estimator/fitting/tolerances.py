@@ -59,7 +59,7 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
 
 
 class Tolerated(NamedTuple):
-    """What may be wrong with a rig, marginalised at a fit with m parameters, of which f are estimated."""
+    """Nuisances of a rig, marginalised at a fit with m parameters, of which f are estimated."""
 
     marginal: Marginal
     nuisances: Sequence[Nuisance]

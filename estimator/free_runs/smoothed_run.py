@@ -27,5 +27,6 @@ class SmoothedRun:
 
     def misfit(self, noise: Noise | None = None) -> float:
         """-2 `log_marginal` at this motion, under `noise`, by default the run's own levels."""
-        noise = (noise or self.state.noise).with_samples_of(self.state.noise)
+        own = self.state.noise
+        noise = replace(noise or own, scale=own.scale, stiction=own.stiction)
         return -2.0 * log_marginal(self.problem, replace(self.state, noise=noise))

@@ -79,10 +79,6 @@ class Noise:
         """Without what belongs to single samples: the noise of any record."""
         return replace(self, scale=None, stiction=None)
 
-    def with_samples_of(self, other: Noise) -> Noise:
-        """These levels with what single samples have in `other`."""
-        return replace(self, scale=other.scale, stiction=other.stiction)
-
     def accel_precision(self, imu: int = 0) -> FloatArray:
         """(2, 2) inverse covariance of both axes of one IMU at one sample [s^4/m^2]."""
         (x, y), own = self.accel[imu], 1.0 - self.accel_correlation**2

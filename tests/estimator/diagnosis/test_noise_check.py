@@ -21,10 +21,8 @@ def model_of(declared: dict[str, float], **found: float) -> Any:
     levels = {"pivot": 0.002, "knee": 0.02, "encoder": 2e-4, "gyro": 0.005, "accel": 0.05} | found
     noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]),
                   np.array([levels["gyro"]]), np.array([[levels["accel"], levels.get("accel_y", levels["accel"])]]))
-    rng = np.random.default_rng(0)
-    white = {"gyro": rng.normal(0.0, 0.005, (1, 4000)), "accel": rng.normal(0.0, 0.05, (1, 2, 4000))}
-    shown = Noise(np.zeros(2), np.array([np.inf, 2e-4]))
-    problem = SimpleNamespace(has_encoder=np.array([False, True]), imu_count=1, shown=shown, **white)
+    shown = Noise(np.zeros(2), np.array([np.inf, 2e-4]), np.array([0.005]), np.array([[0.05, 0.05]]))
+    problem = SimpleNamespace(has_encoder=np.array([False, True]), imu_count=1, shown=shown)
     split = SimpleNamespace(known=declared, mechanism=leg2())
     return SimpleNamespace(split=split, problem=problem, state=SimpleNamespace(noise=noise))
 

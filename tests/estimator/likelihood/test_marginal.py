@@ -25,7 +25,7 @@ DT = 1.0 / RATE_HZ
 def joint(samples: int, gravity: float, seed: int = 1) -> tuple[LatentProblem, State]:
     """A joint with an encoder that follows a sum of two sines, without dry friction, at its likeliest motion."""
     time = np.arange(samples) * DT
-    angle = 0.4 * np.sin(5.0 * time) + 0.2 * np.cos(11.0 * time)
+    angle: FloatArray = 0.4 * np.sin(5.0 * time) + 0.2 * np.cos(11.0 * time)
     rate, accel = np.gradient(angle, DT), np.gradient(np.gradient(angle, DT), DT)
     rng = np.random.default_rng(seed)
     torque = 0.1 * accel + 0.02 * rate + 9.81 * gravity * np.sin(angle) + 0.01 * rng.normal(size=samples)
@@ -50,7 +50,8 @@ def exact(problem: LatentProblem, state: State) -> float:
     wide_motion, wide_torque = 100.0, 100.0
     # states (q, v) at all samples as a linear map of: start (2), torques (n), two rows of the equation an interval
     unknown = 2 + n + 2 * (n - 1)
-    maps, now = np.zeros((n, 2, unknown)), np.zeros((2, unknown))
+    maps = np.zeros((n, 2, unknown))
+    now: FloatArray = np.zeros((2, unknown))
     now[0, 0] = now[1, 1] = 1.0
     maps[0] = now
     for k in range(n - 1):
