@@ -29,7 +29,7 @@ def joint(samples: int, gravity: float, seed: int = 1) -> tuple[LatentProblem, S
     rate, accel = np.gradient(angle, DT), np.gradient(np.gradient(angle, DT), DT)
     rng = np.random.default_rng(seed)
     torque = 0.1 * accel + 0.02 * rate + 9.81 * gravity * np.sin(angle) + 0.01 * rng.normal(size=samples)
-    segment = SignalSet("r", RATE_HZ, time, angles=(angle + 1e-3 * rng.normal(size=samples))[:, None],
+    segment = SignalSet("r", RATE_HZ, time, angles=np.asarray(angle + 1e-3 * rng.normal(size=samples), dtype=np.float64)[:, None],
                         torque=torque[:, None], imu={})
     problem = LatentProblem([segment], joint1(), "linear")
     x = Latents(angle[:, None], rate[:, None], torque[:, None])
@@ -62,7 +62,7 @@ def exact(problem: LatentProblem, state: State) -> float:
             by_state[g] = inertia * np.array(accel) + viscous * np.array(rate)
             right[g, 2 + k], right[g, 3 + k] = 1.0 - s, s
             right[g, 2 + n + 2 * k + g] = 1.0
-        now = np.linalg.solve(by_state[:, 2:], right - by_state[:, :2] @ now)
+        now = np.asarray(np.linalg.solve(by_state[:, 2:], right - by_state[:, :2] @ now), dtype=np.float64)
         maps[k + 1] = now
     variance = np.concatenate([np.full(2, wide_motion**2), np.full(n, wide_torque**2), np.full(2 * n - 2, slack**2)])
     readings = np.zeros((2 * n, unknown))
