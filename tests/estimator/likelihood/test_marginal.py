@@ -24,12 +24,12 @@ DT = 1.0 / RATE_HZ
 
 def joint(samples: int, gravity: float, seed: int = 1) -> tuple[LatentProblem, State]:
     """A joint with an encoder that follows a sum of two sines, without dry friction, at its likeliest motion."""
-    time = np.arange(samples) * DT
-    angle: FloatArray = 0.4 * np.sin(5.0 * time) + 0.2 * np.cos(11.0 * time)
+    time = np.asarray(np.arange(samples) * DT, dtype=np.float64)
+    angle = 0.4 * np.sin(5.0 * time) + 0.2 * np.cos(11.0 * time)
     rate, accel = np.gradient(angle, DT), np.gradient(np.gradient(angle, DT), DT)
     rng = np.random.default_rng(seed)
     torque = 0.1 * accel + 0.02 * rate + 9.81 * gravity * np.sin(angle) + 0.01 * rng.normal(size=samples)
-    segment = SignalSet("r", RATE_HZ, time, angles=np.asarray(angle + 1e-3 * rng.normal(size=samples), dtype=np.float64)[:, None],
+    segment = SignalSet("r", RATE_HZ, time, angles=(angle + 1e-3 * rng.normal(size=samples))[:, None],
                         torque=torque[:, None], imu={})
     problem = LatentProblem([segment], joint1(), "linear")
     x = Latents(angle[:, None], rate[:, None], torque[:, None])
