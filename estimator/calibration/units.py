@@ -23,7 +23,7 @@ def tried(column: str) -> dict[str, float]:
 
 
 def correction(factors: Mapping[str, float], sources: Mapping[str, str] | None = None) -> tuple[str, str]:
-    """Two sentences on columns whose readings need these factors: what looks wrong, and what to write into the rig file.
+    """Two sentences on columns whose readings need these factors: what looks wrong, and what to write into rig.toml.
 
     `sources` are the columns that they are read from, each from itself without.
     """
