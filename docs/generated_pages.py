@@ -77,7 +77,7 @@ def streams_part() -> str:
 
 def key_tables() -> dict[str, str]:
     """The table of keys of each JSON document that is a struct, for the page of formats."""
-    from experiments.documents import DOCUMENTED, keys_table
+    from tests.support.documented import DOCUMENTED, keys_table
 
     return {name: keys_table(kind) for name, kind in DOCUMENTED.items()}
 

@@ -15,9 +15,9 @@ import numpy as np
 from daq.recording.workers import real_time
 from drivers import Wiring, open_drive
 from drivers.mock import CanServer, FirmwareSettings, MockRig, PtyServer, RealClock, drive_facts, drive_maker, on_serial
-from drivers.mock.plant import StillPlant
 from experiments.emulation.drive_rig import local_can
 from tests.support.paths import ROOT
+from tests.support.still_plant import StillPlant
 
 PLACES = (("moteus", "can"), ("moteus", "pty"), ("odrive", "can"), ("dynamixel", "pty"))
 WIRES = {"moteus pty": "an fdcanusb on a PTY", "moteus can": "CAN FD in UDP datagrams",

@@ -16,10 +16,10 @@ from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
 from drivers.mock.link import EmulatorLink
-from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings
 from drivers.serial_link import SerialLink
+from tests.support.still_plant import StillPlant
 
 RIG = """[mechanism]
 model = "leg2"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.drive import Wiring
 from drivers.mock.motor import Motor
-from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
+from drivers.mock.plant import Segment, Snapshot
 from drivers.mock.settings import FirmwareSettings
 
 TURNAROUND_NS = 60_000
@@ -60,7 +60,7 @@ class BenchDrive(ABC):
         self._inbox: deque[tuple[int, Any]] = deque()
         self._outbox: deque[tuple[int, Any]] = deque()
         self._now_ns = self._t_ns = self._boot_ns = self._warmed_ns = t_ns
-        still = snapshot(StillState())
+        still = Snapshot()
         self._segment = Segment(t_ns - 1, t_ns, still, still)
 
     @abstractmethod

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.link import Codec
 from drivers.mock.drive_state import DriveState
 from drivers.mock.motor import Motor
-from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
+from drivers.mock.plant import Segment, Snapshot
 from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import (
     ESTOP_OPEN,
@@ -75,7 +75,7 @@ class FirmwareEmulator:
         self._inbox: deque[tuple[int, Any]] = deque()
         self._outbox: deque[tuple[int, Any]] = deque()
         self._t_ns = self._now_ns = t_ns
-        self._state = snapshot(StillState())
+        self._state = Snapshot()
         self._boot(t_ns)
 
     def _boot(self, t_ns: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 
@@ -32,37 +31,15 @@ class Plant(Protocol):
         """State after `dt_s` [s] with this mean joint torque at the knee [N m]."""
 
 
-@dataclass(frozen=True)
-class StillState:
-    """A leg that does not move."""
+class Snapshot(NamedTuple):
+    """A state copied out of the plant, which may reuse its own; by default a leg that hangs still."""
 
     q1: float = 0.0
     q2: float = 0.0
     q1d: float = 0.0
     q2d: float = 0.0
     q1dd: float = 0.0
-
-
-@dataclass
-class StillPlant:
-    """A leg held fast in one place."""
-
-    state: StillState = StillState()
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        """Return the same state at all times."""
-        return self.state
-
-
-class Snapshot(NamedTuple):
-    """A state copied out of the plant, which may reuse its own."""
-
-    q1: float
-    q2: float
-    q1d: float
-    q2d: float
-    q1dd: float
-    q2_motor: float
+    q2_motor: float = 0.0
 
 
 def snapshot(state: JointState) -> Snapshot:

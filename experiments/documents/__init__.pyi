@@ -25,12 +25,9 @@ from .diagnosis_parts import split_key as split_key
 from .document import Document as Document
 from .document import Number as Number
 from .document import finite as finite
-from .document import json_schema as json_schema
-from .document import keys_table as keys_table
 from .document import known as known
 from .fit import FitDocument as FitDocument
 from .fit import Parameter as Parameter
-from .known import DOCUMENTED as DOCUMENTED
 from .tuning import Entry as Entry
 from .tuning import Time as Time
 from .tuning import Tried as Tried

@@ -17,10 +17,10 @@ from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
 from drivers.mock import CanServer, EmulatorLink, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
 from drivers.protocol import Stop
 from tests.support.leg_on_a_link import drive, is_stopped, ping
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

@@ -11,9 +11,9 @@ import pytest
 from drivers import DeviceAbsent, DriverError, FaultReport, LinkLost, State, attach, drive_kinds, open_drive
 from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
-from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault
 from tests.support.drive_bench import CONSTANT, DriveBench, driven, opened, states, telemetry
+from tests.support.still_plant import StillPlant, StillState
 
 NEVER_ON = ["feetech"]
 """Drives that legid reads and does not arm."""

@@ -19,9 +19,9 @@ from drivers.dynamixel_drive import DynamixelDrive, find_nodes
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
-from drivers.mock.plant import StillPlant, StillState
 from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
 from tests.support.recordings import RIG, sine
+from tests.support.still_plant import StillPlant, StillState
 
 PRINTED = [
     ("ping", dxl.packet(1, Instruction.PING), "FF FF FD 00 01 03 00 01 19 4E"),

@@ -10,9 +10,9 @@ from drivers import dynamixel as dxl
 from drivers.dynamixel import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
-from drivers.mock.plant import StillPlant, StillState
 from tests.support.processes import REAL_CLOCK
 from tests.support.recorded_port import RecordedPort
+from tests.support.still_plant import StillPlant, StillState
 
 sdk = pytest.importorskip("dynamixel_sdk")
 pytestmark = REAL_CLOCK

@@ -14,9 +14,9 @@ from drivers.can_codec import CanCodec
 from drivers.can_link import CanLink
 from drivers.errors import DeviceBusy
 from drivers.mock import I2cServer, MockRig
-from drivers.mock.plant import StillPlant
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

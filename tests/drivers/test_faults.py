@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
 from drivers.mock import EmulatorLink, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
 from drivers.protocol import Decoder, encode
 from tests.support.counted_chip import CountedChip
 from tests.support.device_faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
+from tests.support.still_plant import StillPlant
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
 

@@ -12,9 +12,9 @@ from drivers.errors import ProtocolMismatch
 from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
-from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault
 from tests.support.drive_bench import DriveBench, opened, telemetry
+from tests.support.still_plant import StillPlant, StillState
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
            ("its answer", sts.packet(1, 0), "FF FF 01 02 00 FC"),

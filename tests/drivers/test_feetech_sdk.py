@@ -11,9 +11,9 @@ from drivers import feetech as sts
 from drivers.feetech import Address
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.feetech_drive import MockFeetech, new_table
-from drivers.mock.plant import StillPlant, StillState
 from tests.support.processes import REAL_CLOCK
 from tests.support.recorded_port import RecordedPort
+from tests.support.still_plant import StillPlant, StillState
 
 sdk = pytest.importorskip("scservo_sdk")
 pytestmark = REAL_CLOCK

@@ -8,9 +8,9 @@ import pytest
 from drivers import DeviceAbsent, DriverError, Hello, LegController, LinkLost, Pong, State, Telemetry
 from drivers.errors import DeviceBusy, DeviceFault, ProtocolMismatch
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
 from drivers.protocol import DriveLimits, Fault, Feature, TimedCommand, TorqueCommand, encode
 from drivers.serial_link import SerialLink
+from tests.support.still_plant import StillPlant
 
 STOP = bytes.fromhex("00 04 03 93 D1 00")  # firmware_protocol.md, section 9, behind a delimiter
 ARM_100 = bytes.fromhex("03 02 64 03 12 65 00")

@@ -8,7 +8,7 @@ from smbus2 import i2c_msg
 
 from drivers.mock import ImuSettings, MockRig, Plant, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.plant import StillPlant, StillState
+from tests.support.still_plant import StillPlant, StillState
 
 ADDRESS = 0x6B
 

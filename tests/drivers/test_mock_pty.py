@@ -11,10 +11,10 @@ import pytest
 from drivers import LegController, LinkLost, Lsm9ds1, State, Telemetry
 from drivers.errors import DeviceBusy
 from drivers.mock import MockRig, PtyServer
-from drivers.mock.plant import StillPlant
 from drivers.serial_link import SerialLink
 from tests.support.leg_on_a_link import PATIENCE_S, drive, ping, poll_until, settle
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

@@ -13,10 +13,10 @@ from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import MockRig, PtyServer, RealClock, drive_maker, on_serial
 from drivers.mock.moteus_drive import MockMoteus
-from drivers.mock.plant import StillPlant
 from drivers.moteus_drive import QUERY, MoteusDrive
 from drivers.multiplex import WRITE, Kind, Register, parse, write
 from tests.support.drive_bench import DriveBench, opened, telemetry
+from tests.support.still_plant import StillPlant
 
 
 def test_its_own_limits_are_read_and_shown() -> None:

@@ -12,13 +12,13 @@ from daq.recording.workers import real_time
 from daq.runs import read_run
 from drivers import LegController, Message, State
 from drivers.mock import I2cServer, MockRig, RealClock
-from drivers.mock.plant import StillPlant
 from drivers.protocol import Arm, DriveLimits, Fault, LimitsRequest, Stop
 from drivers.serial_link import SerialLink
 from experiments import cli
 from experiments.excite import random_multisine
 from tests.support.c_firmware import SOURCES
 from tests.support.qemu_board import CC, HANG, RETURN, STRICT, Board, needs, returns
+from tests.support.still_plant import StillPlant
 
 WATCHDOG_MS = 200
 PROMISED_S = 0.11

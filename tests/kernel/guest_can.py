@@ -19,8 +19,8 @@ from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
 from drivers.mock import CanServer, FirmwareSettings, MockRig
-from drivers.mock.plant import StillPlant
 from tests.support.leg_on_a_link import PATIENCE_S, drive, is_stopped, ping, poll_until
+from tests.support.still_plant import StillPlant
 
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}
 NODE = 3

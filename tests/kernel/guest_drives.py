@@ -9,7 +9,7 @@ import pytest
 
 from drivers import DeviceAbsent, Drive, Telemetry, Wiring, open_drive
 from drivers.mock import CanServer, FirmwareSettings, MockRig, drive_facts, drive_maker
-from drivers.mock.plant import StillPlant
+from tests.support.still_plant import StillPlant
 
 PATIENCE_S = 20.0
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}

@@ -18,9 +18,9 @@ from drivers import Reaction
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame, Frames
 from drivers.mock import FirmwareSettings, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
 from drivers.protocol import Decoder
 from tests.support.paths import ROOT
+from tests.support.still_plant import StillPlant
 
 SOURCES = ROOT / "firmware"
 STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]

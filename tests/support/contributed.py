@@ -15,7 +15,6 @@ from daq.recording import Plan
 from daq.runs import write_csv
 from drivers import Drive, State
 from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
-from drivers.mock.plant import StillPlant
 from estimator import FitOptions, fit
 from estimator.effects import library
 from estimator.model import leg2, simulate
@@ -24,6 +23,7 @@ from experiments.models import EffectValue, load_model
 from experiments.rig.devices import connect
 from experiments.workflows import simulate_run
 from tests.support.models import LEG, write_model
+from tests.support.still_plant import StillPlant
 
 RIG = "[mechanism]\nmodel = \"leg2\"\nactuated = [2]\n"
 BETA = [0.14, 0.03, 0.05, 0.5, 0.15, 0.05, 0.03, 0.001, 0.001]

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers import Drive, Received, State, Telemetry, Wiring, attach
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, Plant, VirtualClock, drive_facts, drive_maker
-from drivers.mock.plant import StillPlant
+from tests.support.still_plant import StillPlant
 
 CONSTANT = 0.85
 

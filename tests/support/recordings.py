@@ -9,8 +9,8 @@ from daq import parse_rig
 from daq.recording import Plan, RecordReport, record_run
 from drivers import ImuConfig, LegController, Lsm9ds1
 from drivers.mock import MockRig, PtyServer
-from drivers.mock.plant import StillPlant, StillState
 from drivers.serial_link import SerialLink
+from tests.support.still_plant import StillPlant, StillState
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.controller]\nwatchdog_ms = 100\n[limits]\n'
 

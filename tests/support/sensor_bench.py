@@ -10,8 +10,8 @@ from daq.recording import Plan, RecordReport, Sensors, record_run
 from daq.runs import RawRun, read_run
 from drivers import As5600, CurrentShunt, LegController, Lsm9ds1, State
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, PivotSettings, ShuntSettings, VirtualClock
-from drivers.mock.plant import StillPlant
 from tests.support.recordings import RIG, sine
+from tests.support.still_plant import StillPlant
 
 TABLES = """[devices.pivot]
 sign = -1

@@ -14,7 +14,7 @@ from daq import parse_rig
 from daq.recording import ALIVE, PACKET_BYTES, Ended, Heard, Plan, Remote, Status, record_run, watched_by
 from drivers import LegController, Lsm9ds1
 from drivers.mock import EmulatorLink, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
+from tests.support.still_plant import StillPlant
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
 

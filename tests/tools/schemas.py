@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from experiments.documents import DOCUMENTED, json_schema
+from tests.support.documented import DOCUMENTED, json_schema
 from tests.support.paths import ROOT
 
 FOLDER = ROOT / "docs/schemas"

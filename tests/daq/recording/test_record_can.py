@@ -12,9 +12,9 @@ from daq.runs import read_run
 from drivers import State
 from drivers.can_codec import CanCodec
 from drivers.mock import CanServer, MockRig
-from drivers.mock.plant import StillPlant
 from experiments.cli import main
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

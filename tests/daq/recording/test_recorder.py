@@ -16,11 +16,11 @@ from daq.recording import Plan
 from daq.recording.recorder import RAMP_S
 from daq.runs import read_run
 from drivers import LinkLost, Lsm9ds1, State
-from drivers.mock.plant import StillPlant, StillState
 from tests.support.processes import REAL_CLOCK
 from tests.support.recordings import RIG, Turning, at, sine, threaded
 from tests.support.runs import load_run
 from tests.support.sensor_bench import RigBench
+from tests.support.still_plant import StillPlant, StillState
 
 
 def test_a_plan_is_commanded_and_recorded_whole(tmp_path: Path) -> None:

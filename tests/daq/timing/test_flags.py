@@ -17,8 +17,8 @@ from daq.timing.align import align
 from daq.timing.flags import _repeated, _unmarked, flag_run
 from drivers import LegController, Lsm9ds1
 from drivers.mock import EmulatorLink, ImuSettings, MockRig, VirtualClock
-from drivers.mock.plant import StillPlant
 from tests.support.recordings import RIG, sine
+from tests.support.still_plant import StillPlant
 
 
 def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float = 0.0, burst: int = 0) -> str:

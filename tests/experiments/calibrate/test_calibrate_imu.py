@@ -13,12 +13,12 @@ from daq.runs import RunWriter
 from drivers import ImuConfig, Lsm9ds1, SelfTest
 from drivers.mock import ImuSettings, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.plant import StillPlant
 from experiments.calibrate import store
 from experiments.calibrate.imu import record_still
 from experiments.calibrate.outcome import Outcome
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

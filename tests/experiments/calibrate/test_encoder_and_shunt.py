@@ -10,13 +10,13 @@ from daq import WorkError, load_rig
 from daq.calibration import Stop, friction_cone, hanging_zero, straight_zero
 from daq.runs import BLOCKS, Mean, mean_of
 from drivers.mock import FirmwareSettings, MockRig, PtyServer
-from drivers.mock.plant import StillPlant, StillState
 from experiments.emulation import LegBody
 from experiments.emulation.plant import LegPlant
 from tests.support.models import LEG, write_model
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
+from tests.support.still_plant import StillPlant, StillState
 
 pytestmark = REAL_CLOCK
 

@@ -16,13 +16,13 @@ import pytest
 from daq import ControllerDevice, Rig
 from drivers import DeviceAbsent, open_bus
 from drivers.mock import FirmwareSettings, MockRig, PtyServer
-from drivers.mock.plant import StillPlant, StillState
 from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from experiments.doctor import bus, link, preflight
 from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
+from tests.support.still_plant import StillPlant, StillState
 
 pytestmark = REAL_CLOCK
 

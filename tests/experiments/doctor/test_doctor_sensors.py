@@ -8,10 +8,10 @@ import pytest
 from daq import parse_rig
 from drivers.as5600 import MD, MH, ML
 from drivers.mock import I2cServer, MockRig, PivotSettings, ShuntSettings
-from drivers.mock.plant import StillPlant
 from experiments.doctor import preflight
 from experiments.doctor.check import Check
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

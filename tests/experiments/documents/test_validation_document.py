@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import legid
-from experiments.documents import DOCUMENTED, Document, ValidationDocument, keys_table
-from experiments.documents.document import described
+from experiments.documents import Document, ValidationDocument
 from experiments.reports import whole_validation_text
+from tests.support.documented import DOCUMENTED, described, keys_table
 from tests.support.earlier import FOLDER, earlier
 
 EARLIER = earlier("validation")

@@ -24,13 +24,13 @@ from daq.runs import read_run
 from drivers import DeviceAbsent, Lsm9ds1, open_bus
 from drivers.i2c_socket import SocketBus
 from drivers.mock import I2cServer, MockRig
-from drivers.mock.plant import StillPlant
 from experiments.live.charts import CHARTS
 from experiments.live.jobs import Tail, fit_verdict, past_jobs
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase, Session
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.still_plant import StillPlant
 from tests.support.watched_bench import RIG, Bench
 
 pytestmark = REAL_CLOCK

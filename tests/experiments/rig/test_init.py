@@ -8,11 +8,11 @@ import pytest
 from daq import load_rig
 from drivers import drive_rate_hz, i2c_bus
 from drivers.mock import FirmwareSettings, MockRig, PtyServer
-from drivers.mock.plant import StillPlant
 from experiments.doctor import preflight
 from experiments.rig import discovery
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
+from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
 

@@ -1,0 +1,27 @@
+"""Physics of a leg that does not move, for tests of emulated devices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class StillState:
+    """A leg that does not move."""
+
+    q1: float = 0.0
+    q2: float = 0.0
+    q1d: float = 0.0
+    q2d: float = 0.0
+    q1dd: float = 0.0
+
+
+@dataclass
+class StillPlant:
+    """A leg held fast in one place."""
+
+    state: StillState = StillState()
+
+    def step(self, dt_s: float, torque_nm: float) -> StillState:
+        """Return the same state at all times."""
+        return self.state
