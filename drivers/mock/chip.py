@@ -1,4 +1,4 @@
-"""Common parts of emulated I2C chips with plain registers: transfers, time on the wire, failures on demand."""
+"""Common parts of emulated I2C chips: transfers, time on the wire, failures on demand; and a bus of several chips."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers.mock.clock import Clock
-from drivers.mock.lsm9ds1 import NO_ACKNOWLEDGE
+
+NO_ACKNOWLEDGE = 121
 
 
 class MockChip:
     """A chip and the bus it is alone on: `i2c_rdwr` takes smbus2 messages, time passes as on the wire.
 
-    A subclass says what a register reads (`byte`) and takes (`receive`). `advance(t_ns)` brings the world up to a time;
+    A subclass says what registers read (`read`) and take (`receive`). `advance(t_ns)` brings the world up to a time;
     it is called before every transfer.
     """
 
@@ -26,12 +27,12 @@ class MockChip:
         """A byte that every read brings, whatever the chip says: lines that are held low (0) or not at all (255)."""
         self._clock, self._advance, self._bus_khz = clock, advance, bus_khz
         self._lock = lock or threading.RLock()
-        self._failures: deque[int] = deque()
+        self._failures: deque[tuple[int, int]] = deque()
         self._pointer = 0
 
-    def fail(self, errno: int, times: int = 1) -> None:
-        """The next `times` transfers raise OSError(errno)."""
-        self._failures.extend([errno] * times)
+    def fail(self, errno: int, times: int = 1, after_bytes: int = 0) -> None:
+        """The next `times` transfers raise OSError(errno), a read after `after_bytes` went over the wire."""
+        self._failures.extend([(errno, after_bytes)] * times)
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         """One transaction of smbus2 messages. Raises OSError 121 for another address, or what `fail` asked for."""
@@ -48,10 +49,12 @@ class MockChip:
         self.closed = True
 
     def _transact(self, messages: Sequence[Any]) -> int:
+        """Bytes that went over the wire, addresses included."""
         if any(message.addr != self.address for message in messages):
             raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
-        if self._failures:
-            raise OSError(self._failures.popleft(), "injected")
+        errno, good_bytes = self._failures.popleft() if self._failures else (0, 0)
+        if errno and not good_bytes:
+            raise OSError(errno, "injected")
         for message in messages:
             if not message.flags & 1:
                 data = bytes(message)
@@ -59,9 +62,11 @@ class MockChip:
                     self._pointer = data[0]
                     self.receive(data[0], data[1:])
                 continue
-            found = self.read(self._pointer, message.len)
-            for i in range(message.len):
+            found = self.read(self._pointer, min(message.len, good_bytes) if errno else message.len)
+            for i in range(len(found)):
                 message.buf[i] = found[i:i + 1] if self.held_at is None else bytes([self.held_at])
+        if errno:
+            raise OSError(errno, "injected")
         return sum(1 + message.len for message in messages)
 
     def receive(self, register: int, data: bytes) -> None:
@@ -71,3 +76,24 @@ class MockChip:
     def read(self, register: int, count: int) -> bytes:
         """`count` bytes from `register` on."""
         raise NotImplementedError
+
+
+class MockBus:
+    """Several emulated chips on one bus: a transaction goes to the chip of its first message's address."""
+
+    def __init__(self, chips: Sequence[Any]) -> None:
+        self._chips = {chip.address: chip for chip in chips}
+        self._lock = threading.Lock()
+
+    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        """Raises OSError 121 where no chip has the address."""
+        chip = self._chips.get(i2c_msgs[0].addr)
+        if chip is None:
+            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
+        with self._lock:
+            chip.i2c_rdwr(*i2c_msgs)
+
+    def close(self) -> None:
+        """Let go of all chips."""
+        for chip in self._chips.values():
+            chip.close()

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-import threading
-from collections.abc import Callable
+from typing import Any
 
 from drivers import dynamixel as dxl
 from drivers.drive import Wiring
@@ -29,10 +28,10 @@ SHUTDOWN = HardwareError.OVERHEATING | HardwareError.ELECTRICAL_SHOCK | Hardware
 """Errors that turn the torque off, as it comes from the factory."""
 
 
-def new_table(ident: int, model: int = MODEL, firmware: int = FIRMWARE) -> bytearray:
+def new_table(ident: int, model: int = MODEL) -> bytearray:
     """A control table as from the factory, but for current mode and limits of 24 V."""
     table = bytearray(TABLE)
-    for at, form, value in ((Address.MODEL_NUMBER, "<H", model), (Address.FIRMWARE_VERSION, "<B", firmware),
+    for at, form, value in ((Address.MODEL_NUMBER, "<H", model), (Address.FIRMWARE_VERSION, "<B", FIRMWARE),
                             (7, "<B", ident), (8, "<B", 5), (Address.RETURN_DELAY_TIME, "<B", 30),
                             (Address.OPERATING_MODE, "<B", dxl.CURRENT_MODE), (13, "<B", 2),
                             (Address.TEMPERATURE_LIMIT, "<B", 80), (Address.MAX_VOLTAGE_LIMIT, "<H", 300),
@@ -48,10 +47,8 @@ class MockDynamixel(BenchDrive):
 
     nothing = b""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, seed: int = 0, t_ns: int = 0,
-                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None,
-                 model: int = MODEL) -> None:
-        super().__init__(settings, wiring, seed, t_ns, advance, lock)
+    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any, model: int = MODEL) -> None:
+        super().__init__(settings, wiring, *world)
         self.driver_ok = True
         self.stuck = False
         """All readings, the tick among them, stay as they are."""
@@ -61,7 +58,7 @@ class MockDynamixel(BenchDrive):
         limit = 1.05 * settings.torque_limit_nm / settings.torque_constant_nm_per_a / self.unit_a
         struct.pack_into("<H", self.table, Address.CURRENT_LIMIT, round(limit))
         self._decoder = dxl.Decoder()
-        self._fed_ns = t_ns
+        self._fed_ns = self._t_ns
         self._deaf_until_ns = 0
 
     # -- packets -------------------------------------------------------------------------------------------
@@ -197,7 +194,5 @@ class MockDynamixel(BenchDrive):
         self._control()
 
 
-def emulate(settings: FirmwareSettings, wiring: Wiring, seed: int, t_ns: int, advance: Callable[[int], None],
-            lock: threading.RLock) -> MockDynamixel:
-    """The Dynamixel at the end of this wiring."""
-    return MockDynamixel(settings, wiring, seed, t_ns, advance, lock)
+emulate = MockDynamixel
+"""The Dynamixel at the end of a wiring."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-import threading
-from collections.abc import Callable
+from typing import Any
 
 from drivers import feetech as sts
 from drivers.drive import Wiring
@@ -41,9 +40,8 @@ class MockFeetech(BenchDrive):
 
     nothing = b""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, seed: int = 0, t_ns: int = 0,
-                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None) -> None:
-        super().__init__(settings, wiring, seed, t_ns, advance, lock)
+    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
+        super().__init__(settings, wiring, *world)
         self.driver_ok = True
         self.table = new_table(wiring.node)
         self.others: dict[int, bytearray] = {}
@@ -144,7 +142,5 @@ class MockFeetech(BenchDrive):
         self._control()
 
 
-def emulate(settings: FirmwareSettings, wiring: Wiring, seed: int, t_ns: int, advance: Callable[[int], None],
-            lock: threading.RLock) -> MockFeetech:
-    """The servo at the end of this wiring."""
-    return MockFeetech(settings, wiring, seed, t_ns, advance, lock)
+emulate = MockFeetech
+"""The servo at the end of a wiring."""

@@ -6,15 +6,14 @@ Registers, self-clearing reset, FIFO with FIFO_SRC, output data rate, full-scale
 
 from __future__ import annotations
 
-import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from drivers import lsm9ds1_registers as reg
+from drivers.mock.chip import MockChip
 from drivers.mock.clock import Clock
 
-NO_ACKNOWLEDGE = 121
 DEFAULTS = {reg.WHO_AM_I: reg.WHO_AM_I_VALUE, reg.CTRL_REG4: 0x38, reg.CTRL_REG5_XL: 0x38, reg.CTRL_REG8: 0x04}
 READ_ONLY = {reg.WHO_AM_I, reg.OUT_TEMP_L, reg.OUT_TEMP_L + 1, reg.STATUS, reg.STATUS_COPY, reg.FIFO_SRC,
              *range(reg.OUT_X_L_G, reg.OUT_Z_H_G + 1), *range(reg.OUT_X_L_XL, reg.OUT_Z_H_XL + 1)}
@@ -26,24 +25,14 @@ GYRO_RANGE = {code: full for full, code in reg.GYRO_FS_CODE.items()}
 ACCEL_RANGE = {code: full for full, code in reg.ACCEL_FS_CODE.items()}
 
 
-class MockLsm9ds1:
-    """The chip and the bus it is alone on: `i2c_rdwr` takes smbus2 messages, time passes as on the wire.
+class MockLsm9ds1(MockChip):
+    """The chip; `push` hands it what its sensors feel."""
 
-    `advance(t_ns)` brings the world, and with it `push`, up to a time; it is called before every transfer.
-    """
-
-    def __init__(self, clock: Clock, advance: Callable[[int], None] = lambda t_ns: None, address: int = 0x6B,
-                 bus_khz: float = 400.0, temperature_degc: float = 25.0,
-                 lock: threading.RLock | None = None) -> None:
-        self.address = address
+    def __init__(self, clock: Clock, temperature_degc: float = 25.0, address: int = 0x6B, **wire: Any) -> None:
+        super().__init__(clock, address, **wire)
         self.temperature_degc = temperature_degc
         self.self_test_dps, self.self_test_mg = 500.0, 400.0
         """What the self-test moves the readings by; zero for a broken chip."""
-        self.closed = False
-        self._clock, self._advance, self._bus_khz = clock, advance, bus_khz
-        self._lock = lock or threading.RLock()
-        self._failures: deque[tuple[int, int]] = deque()
-        self._pointer = 0
         self._power_up()
 
     # -- the world's side ----------------------------------------------------------------------------------
@@ -102,51 +91,10 @@ class MockLsm9ds1:
         """Mark older samples as overwritten."""
         self._overrun = True
 
-    def fail(self, errno: int, times: int = 1, after_bytes: int = 0) -> None:
-        """The next `times` transfers raise OSError(errno), a read after `after_bytes` went over the wire."""
-        self._failures.extend([(errno, after_bytes)] * times)
-
     def brown_out(self) -> None:
         """Supply dips: registers return to their defaults, as after power-up."""
         with self._lock:
             self._power_up()
-
-    # -- the bus's side ------------------------------------------------------------------------------------
-
-    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        """One transaction of smbus2 messages. Raises OSError 121 for another address, or what `fail` asked for."""
-        # A register is latched when its turn comes on the wire: after the addresses and what is written.
-        lead = sum(1 + message.len for message in i2c_msgs) - (i2c_msgs[-1].len if i2c_msgs else 0)
-        self._clock.sleep(lead * 9 / (self._bus_khz * 1e3))
-        with self._lock:
-            self._advance(self._clock.now_ns())
-            moved = self._transact(i2c_msgs)
-        self._clock.sleep((moved - lead) * 9 / (self._bus_khz * 1e3))
-
-    def _transact(self, messages: Sequence[Any]) -> int:
-        """Bytes that went over the wire, addresses included."""
-        if any(message.addr != self.address for message in messages):
-            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
-        errno, good_bytes = self._failures.popleft() if self._failures else (0, 0)
-        moved = 0
-        for message in messages:
-            moved += 1 + message.len
-            if not message.flags & 1:
-                if errno and not good_bytes:
-                    raise OSError(errno, "injected")
-                self._receive(bytes(message))
-                continue
-            for i in range(message.len):
-                if errno and i == good_bytes:
-                    raise OSError(errno, "injected")
-                message.buf[i] = bytes([self._next_byte()])
-        if errno:
-            raise OSError(errno, "injected")
-        return moved
-
-    def close(self) -> None:
-        """The bus handle is let go of; the chip runs on."""
-        self.closed = True
 
     # -- the chip ------------------------------------------------------------------------------------------
 
@@ -165,14 +113,14 @@ class MockLsm9ds1:
         on = self._registers[reg.CTRL_REG9] & reg.FIFO_EN
         return self._registers[reg.FIFO_CTRL] >> 5 if on else 0
 
-    def _receive(self, data: bytes) -> None:
-        """Sub-address, then values into it and the registers that follow."""
-        if not data:
-            return
-        self._pointer = data[0] & 0x7F
-        for value in data[1:]:
+    def receive(self, register: int, data: bytes) -> None:
+        self._pointer = register & 0x7F
+        for value in data:
             self._store(self._pointer, value)
             self._pointer = self._following(self._pointer)
+
+    def read(self, register: int, count: int) -> bytes:
+        return bytes(self._next_byte() for _ in range(count))
 
     def _store(self, register: int, value: int) -> None:
         if register in READ_ONLY:

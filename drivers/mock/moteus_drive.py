@@ -6,8 +6,7 @@ Written from docs/protocol/*.md and docs/reference/configuration.md of github.co
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable
+from typing import Any
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Wiring
@@ -60,9 +59,8 @@ OVER_VOLTAGE, ENCODER, OVER_TEMPERATURE, UNDER_VOLTAGE, DRIVER = 34, 35, 38, 40,
 class MockMoteus(BenchDrive):
     """One moteus on the bus, by the identifier `wiring.node`."""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, seed: int = 0, t_ns: int = 0,
-                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None) -> None:
-        super().__init__(settings, wiring, seed, t_ns, advance, lock)
+    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
+        super().__init__(settings, wiring, *world)
         self.mode = STOPPED
         self.fault = 0
         self.driver_ok = True
@@ -240,12 +238,7 @@ class MockMoteus(BenchDrive):
         self.mode, self.fault, self._command = STOPPED, 0, dict(COMMAND)
 
 
-def emulate(settings: FirmwareSettings, wiring: Wiring, seed: int, t_ns: int, advance: Callable[[int], None],
-            lock: threading.RLock) -> MockMoteus:
-    """The moteus at the end of this wiring."""
-    return MockMoteus(settings, wiring, seed, t_ns, advance, lock)
-
-
-def on_serial(drive: MockMoteus) -> MockFdcanusb:
-    """The moteus behind an fdcanusb."""
-    return MockFdcanusb(drive)
+emulate = MockMoteus
+"""The moteus at the end of a wiring."""
+on_serial = MockFdcanusb
+"""The moteus behind an fdcanusb."""

@@ -6,8 +6,7 @@ Written from the published protocol page and DBC, not from its code.
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable
+from typing import Any
 
 from drivers.can_frame import NODE_BITS, CanFrame, Frames
 from drivers.cansimple import (
@@ -32,9 +31,8 @@ ASKED = (Msg.GET_VERSION, Msg.GET_ERROR, Msg.GET_ENCODER_ESTIMATES, Msg.GET_IQ, 
 class MockOdrive(BenchDrive):
     """One axis, by the node `wiring.node`."""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, seed: int = 0, t_ns: int = 0,
-                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None) -> None:
-        super().__init__(settings, wiring, seed, t_ns, advance, lock)
+    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
+        super().__init__(settings, wiring, *world)
         self.watchdog_s, self.watchdog_on = wiring.watchdog_ms * 1e-3, True
         """axis0.config.watchdog_timeout and enable_watchdog."""
         self.polling_feeds = False
@@ -48,8 +46,8 @@ class MockOdrive(BenchDrive):
         self.axis, self.active, self.reason = IDLE, OdriveError(0), OdriveError(0)
         self._asked_nm, self._mode = 0.0, 0
         self._limits = (math.inf, math.inf)
-        self._fed_ns = t_ns
-        self._beat_ns = t_ns + BEAT_NS
+        self._fed_ns = self._t_ns
+        self._beat_ns = self._t_ns + BEAT_NS
         self._due: dict[Msg, int] = {}
 
     def _obey(self, data: Frames, t_ns: int) -> None:
@@ -142,7 +140,5 @@ class MockOdrive(BenchDrive):
         self.axis, self.active, self.reason, self._mode, self._asked_nm = IDLE, OdriveError(0), OdriveError(0), 0, 0.0
 
 
-def emulate(settings: FirmwareSettings, wiring: Wiring, seed: int, t_ns: int, advance: Callable[[int], None],
-            lock: threading.RLock) -> MockOdrive:
-    """The ODrive at the end of this wiring."""
-    return MockOdrive(settings, wiring, seed, t_ns, advance, lock)
+emulate = MockOdrive
+"""The ODrive at the end of a wiring."""

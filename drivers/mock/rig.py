@@ -17,13 +17,13 @@ from drivers.errors import DeviceAbsent
 from drivers.link import Codec
 from drivers.mock.as5600 import MockAs5600
 from drivers.mock.bench_drive import DriveFacts
+from drivers.mock.chip import MockBus
 from drivers.mock.clock import Clock, RealClock
 from drivers.mock.current_shunt import MockShunt
 from drivers.mock.emulator import FirmwareEmulator
 from drivers.mock.imu_physics import ImuPhysics
 from drivers.mock.link import SerialDevice
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.lsm9ds1_mag import MockBus
 from drivers.mock.motor import Motor
 from drivers.mock.plant import Plant, Segment, Snapshot, snapshot
 from drivers.mock.settings import FirmwareSettings, ImuSettings, PivotSettings, ShuntSettings
@@ -72,13 +72,7 @@ def drive_maker(kind: str, wiring: Wiring) -> DriveMaker | None:
     if kind == "legid":
         return None
     emulate = _module(kind).emulate
-
-    def make(settings: FirmwareSettings, seed: int, t_ns: int, advance: Callable[[int], None],
-             lock: threading.RLock) -> EmulatedDrive:
-        drive: EmulatedDrive = emulate(settings, wiring, seed, t_ns, advance, lock)
-        return drive
-
-    return make
+    return lambda settings, *world: emulate(settings, wiring, *world)
 
 
 def on_serial(kind: str, drive: EmulatedDrive) -> SerialDevice:
@@ -110,12 +104,12 @@ class MockRig:
         self._charges: deque[tuple[int, float]] = deque([(self._t_ns, 0.0)], REMEMBERED)
         imu_settings = imu or ImuSettings()
         imu_seed, firmware_seed = np.random.SeedSequence(seed).generate_state(2)
-        self.imu = MockLsm9ds1(self.clock, self.advance_to, address, bus_khz, imu_settings.temperature_degc, self.lock)
+        wire: dict[str, Any] = {"advance": self.advance_to, "bus_khz": bus_khz, "lock": self.lock}
+        self.imu = MockLsm9ds1(self.clock, imu_settings.temperature_degc, address, **wire)
         self._imu_physics = ImuPhysics(self.imu, imu_settings, np.random.default_rng(imu_seed))
         own = firmware or FirmwareSettings()
         place = int(firmware_seed), self._t_ns, self.advance_to, self.lock
         self.drive: EmulatedDrive = make(own, *place) if make else FirmwareEmulator(own, *place, codec)
-        wire: dict[str, Any] = {"advance": self.advance_to, "bus_khz": bus_khz, "lock": self.lock}
         self.pivot = MockAs5600(self.clock, self._pivot_rad, pivot, seed, **wire) if pivot else None
         self.shunt = MockShunt(self.clock, self._charge, shunt_kind, shunt, seed, shunt_address,
                                **wire) if shunt else None

@@ -86,7 +86,7 @@ def on_model(model: int, plant: StillPlant | None = None, **wiring: float) -> tu
 
     def make(settings: FirmwareSettings, seed: int, t_ns: int, advance: Callable[[int], None],
              lock: threading.RLock) -> MockDynamixel:
-        return MockDynamixel(settings, bench.wiring, seed, t_ns, advance, lock, model)
+        return MockDynamixel(settings, bench.wiring, seed, t_ns, advance, lock, model=model)
 
     bench.rig = MockRig(plant or StillPlant(), bench.clock, firmware=settings, seed=1, make=make)
     bench.far = bench.rig.drive

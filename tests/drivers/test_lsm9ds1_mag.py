@@ -7,8 +7,9 @@ from smbus2 import i2c_msg
 from drivers import TO_AG, DeviceAbsent, Lsm9ds1, MagConfig, Magnetometer, SelfTest
 from drivers.errors import DeviceFault
 from drivers.mock import VirtualClock
+from drivers.mock.chip import MockBus
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
+from tests.support.mock_magnetometer import MockMagnetometer
 
 
 class Bench:
@@ -17,7 +18,7 @@ class Bench:
     def __init__(self, config: MagConfig | None = None) -> None:
         self.clock = VirtualClock()
         self.mag = MockMagnetometer(self.clock)
-        self.ag = MockLsm9ds1(self.clock, self.advance)
+        self.ag = MockLsm9ds1(self.clock, advance=self.advance)
         self.bus = MockBus([self.mag, self.ag])
         self.next_ns = 0.0
         self.driver = Magnetometer(self.bus, config=config, now_ns=self.clock.now_ns, sleep=self.clock.sleep)

@@ -8,8 +8,9 @@ import pytest
 from drivers import FaultReport, Hello, Message, Pong, State, Telemetry
 from drivers.mock import FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.emulator import FirmwareEmulator
-from drivers.mock.plant import Segment, Snapshot, StillPlant, StillState
+from drivers.mock.plant import Segment, Snapshot
 from drivers.protocol import Arm, ClearFaults, Decoder, Fault, HelloRequest, Ping, Stop, TorqueCommand, encode
+from tests.support.still_plant import StillPlant, StillState
 
 MS = 1_000_000
 

@@ -11,7 +11,7 @@ class CountedChip:
 
     def __init__(self, rest: Sequence[int] = (), bus_khz: float = 400.0) -> None:
         self.clock = VirtualClock()
-        self.chip = MockLsm9ds1(self.clock, self.advance, bus_khz=bus_khz)
+        self.chip = MockLsm9ds1(self.clock, advance=self.advance, bus_khz=bus_khz)
         self.made, self.next_ns, self._rest = 0, 0.0, list(rest)
 
     def advance(self, t_ns: int) -> None:

@@ -10,8 +10,9 @@ from daq.recording import Plan, record_run
 from daq.runs import read_run
 from drivers import TO_AG, LegController, Lsm9ds1, Magnetometer
 from drivers.mock import EmulatorLink, MockRig, VirtualClock
-from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
+from drivers.mock.chip import MockBus
 from experiments.reports import describe_mcap
+from tests.support.mock_magnetometer import MockMagnetometer
 from tests.support.processes import REAL_CLOCK
 from tests.support.still_plant import StillPlant
 

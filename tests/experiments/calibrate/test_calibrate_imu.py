@@ -179,7 +179,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.clock = VirtualClock()
-        self.chip = MockLsm9ds1(self.clock, self.advance)
+        self.chip = MockLsm9ds1(self.clock, advance=self.advance)
         self.next_ns, self.rng = 0.0, np.random.default_rng(5)
 
     def advance(self, t_ns: int) -> None:

@@ -1,15 +1,13 @@
-"""A register-level magnetometer of the LSM9DS1, and a bus on which several emulated chips hang."""
+"""A register-level magnetometer of the LSM9DS1."""
 
 from __future__ import annotations
 
-import threading
 from collections import deque
-from collections.abc import Sequence
 from typing import Any
 
 from drivers import lsm9ds1_mag as mag
+from drivers.mock.chip import NO_ACKNOWLEDGE
 from drivers.mock.clock import Clock
-from drivers.mock.lsm9ds1 import NO_ACKNOWLEDGE
 
 DEFAULTS = {mag.WHO_AM_I: mag.WHO_AM_I_VALUE, mag.CTRL_REG1: 0x10, mag.CTRL_REG3: 0x03}
 RESET_NS = 200_000
@@ -110,24 +108,3 @@ class MockMagnetometer:
         words = [round((1e3 * field + (moved if on else 0.0)) / per_lsb)
                  for field, moved in zip(self.field_gauss, self.self_test_mgauss)]
         return b"".join(max(-32768, min(32767, w)).to_bytes(2, "little", signed=True) for w in words)
-
-
-class MockBus:
-    """Several emulated chips on one bus: a transaction goes to the chip of its first message's address."""
-
-    def __init__(self, chips: Sequence[Any]) -> None:
-        self._chips = {chip.address: chip for chip in chips}
-        self._lock = threading.Lock()
-
-    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        """Raises OSError 121 where no chip has the address."""
-        chip = self._chips.get(i2c_msgs[0].addr)
-        if chip is None:
-            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
-        with self._lock:
-            chip.i2c_rdwr(*i2c_msgs)
-
-    def close(self) -> None:
-        """Let go of all chips."""
-        for chip in self._chips.values():
-            chip.close()
