@@ -148,11 +148,7 @@ def silent_write(ident: int, address: int, data: bytes) -> bytes:
 
 
 class Decoder(PacketStream[Packet]):
-    """Bytes to packets, from anywhere in a stream; counts what it threw away."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.bad_crc = self.bad_length = 0
+    """Bytes to packets."""
 
     def _next(self) -> Packet | Thrown | None:
         start = self._buffer.find(HEADER)
@@ -164,21 +160,15 @@ class Decoder(PacketStream[Packet]):
             return None
         ident, length = struct.unpack_from("<BH", self._buffer, 4)
         if not 3 <= length <= LONGEST:
-            self.bad_length += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         end = 7 + length
         if len(self._buffer) < end:
             if HEADER in self._buffer[4:]:  # stuffing lets no header into a packet: this one broke off
-                self.bad_length += 1
-                self._buffer = self._buffer[1:]
-                return THROWN
+                return self._broken()
             return None
         whole = self._buffer[:end]
         if crc(whole[:-2]) != struct.unpack("<H", whole[-2:])[0]:
-            self.bad_crc += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         self._buffer = self._buffer[end:]
         body = whole[7:-2].replace(STUFFED, TRIGGER)
         if body[0] != Instruction.STATUS:

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections import deque
-from collections.abc import Callable
+from typing import Any
 
 from drivers import dynamixel as dxl
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -66,9 +65,8 @@ class DynamixelDrive(PolledDrive[bytes]):
     capabilities = Capabilities(polled=True, clock="counter", current="instant", knee_twice=False, hip=False,
                                 lacks=LACKS)
 
-    def __init__(self, link: Link[bytes], wiring: Wiring, now_ns: Callable[[], int] = time.monotonic_ns,
-                 sleep: Callable[[float], None] = time.sleep) -> None:
-        super().__init__(link, wiring, now_ns, sleep)
+    def __init__(self, link: Link[bytes], wiring: Wiring, *clock: Any) -> None:
+        super().__init__(link, wiring, *clock)
         self.table = b""
         """The EEPROM's part of its control table."""
         self.model = dxl.Model("Dynamixel", 1e-3)
@@ -303,7 +301,7 @@ class DynamixelDrive(PolledDrive[bytes]):
                 found = one
             elif mine:
                 self._unknown += 1
-        self._bad = self._decoder.bad_crc + self._decoder.bad_length + self._stale
+        self._bad = self._decoder.bad + self._stale
         return found
 
 
@@ -324,7 +322,5 @@ def open_link(wiring: Wiring) -> Link[bytes]:
     return open_port(wiring.port, wiring.baud)
 
 
-def attach(link: Link[bytes], wiring: Wiring, now_ns: Callable[[], int],
-           sleep: Callable[[float], None]) -> DynamixelDrive:
-    """The Dynamixel behind `link`, not yet greeted."""
-    return DynamixelDrive(link, wiring, now_ns, sleep)
+attach = DynamixelDrive
+"""The Dynamixel behind a link, not yet greeted."""

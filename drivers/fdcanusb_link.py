@@ -12,9 +12,9 @@ LONGEST = 512
 """A line that is longer is noise [bytes]."""
 
 
-def line_of(frame: CanFrame, brs: bool = True) -> bytes:
+def line_of(frame: CanFrame) -> bytes:
     """The line that sends a frame."""
-    flags = ("B" if brs else "b") + "F" if frame.fd else "bf"
+    flags = "BF" if frame.fd else "bf"
     return f"can send {frame.can_id:04x} {frame.data.hex()} {flags}\n".encode()
 
 
@@ -74,8 +74,8 @@ class FdcanusbCodec:
 class FdcanusbLink:
     """A `Link` of frames over one of bytes: the adapter's serial port."""
 
-    def __init__(self, inner: Link[bytes], brs: bool = True) -> None:
-        self._inner, self._brs = inner, brs
+    def __init__(self, inner: Link[bytes]) -> None:
+        self._inner = inner
         self.codec = FdcanusbCodec()
         self.facts = {**getattr(inner, "facts", {}), "kind": "fdcanusb"}
         inner.write(b"\n")  # ends a line that somebody left unfinished
@@ -86,7 +86,7 @@ class FdcanusbLink:
 
     def write(self, data: Frames) -> None:
         """Hand over all frames. Raises `LinkLost`."""
-        self._inner.write(b"".join(line_of(frame, self._brs) for frame in data))
+        self._inner.write(b"".join(map(line_of, data)))
 
     def close(self) -> None:
         """Let go of the port; may be called twice."""

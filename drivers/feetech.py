@@ -132,11 +132,7 @@ def word(table: bytes, at: int) -> int:
 
 
 class Decoder(PacketStream[Packet]):
-    """Bytes to packets, from anywhere in a stream; counts what it threw away."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.bad_checksum = self.bad_length = 0
+    """Bytes to packets."""
 
     def _next(self) -> Packet | Thrown | None:
         start = self._buffer.find(HEADER)
@@ -151,16 +147,12 @@ class Decoder(PacketStream[Packet]):
             return THROWN
         length = self._buffer[3]
         if not 2 <= length <= LONGEST:
-            self.bad_length += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         end = 4 + length
         if len(self._buffer) < end:
             return None
         whole = self._buffer[:end]
         if checksum(whole[2:-1]) != whole[-1]:
-            self.bad_checksum += 1
-            self._buffer = self._buffer[1:]
-            return THROWN
+            return self._broken()
         self._buffer = self._buffer[end:]
         return Packet(whole[2], whole[4], whole[5:-1])

@@ -11,8 +11,7 @@ it on. A Stop goes out at once, and once more behind an answer that it may have 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from typing import Any
 
 from drivers import feetech as sts
 from drivers.drive import Capabilities, Lack, Wiring
@@ -49,9 +48,8 @@ class FeetechDrive(PolledDrive[bytes]):
 
     capabilities = Capabilities(polled=True, clock="none", current="instant", knee_twice=False, hip=False, lacks=LACKS)
 
-    def __init__(self, link: Link[bytes], wiring: Wiring, now_ns: Callable[[], int] = time.monotonic_ns,
-                 sleep: Callable[[float], None] = time.sleep) -> None:
-        super().__init__(link, wiring, now_ns, sleep)
+    def __init__(self, link: Link[bytes], wiring: Wiring, *clock: Any) -> None:
+        super().__init__(link, wiring, *clock)
         self.refusal = REFUSAL
         self.table = b""
         """The EEPROM's part of its memory table."""
@@ -169,7 +167,7 @@ class FeetechDrive(PolledDrive[bytes]):
                 found = one
             elif one.ident == self.wiring.node:
                 self._unknown += 1
-        self._bad = self._decoder.bad_checksum + self._decoder.bad_length
+        self._bad = self._decoder.bad
         return found
 
 
@@ -190,7 +188,5 @@ def open_link(wiring: Wiring) -> Link[bytes]:
     return open_port(wiring.port, wiring.baud)
 
 
-def attach(link: Link[bytes], wiring: Wiring, now_ns: Callable[[], int], sleep: Callable[[float], None]
-           ) -> FeetechDrive:
-    """The servo behind `link`, not yet greeted."""
-    return FeetechDrive(link, wiring, now_ns, sleep)
+attach = FeetechDrive
+"""The servo behind a link, not yet greeted."""

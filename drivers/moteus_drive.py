@@ -10,10 +10,9 @@ docs/reference/configuration.md and docs/guides/control-modes.md of github.com/m
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -95,9 +94,8 @@ class MoteusDrive(PolledDrive[Frames]):
     capabilities = Capabilities(polled=True, clock="counter", current="instant", knee_twice=False, hip=False,
                                 lacks=LACKS)
 
-    def __init__(self, link: Link[Frames], wiring: Wiring, now_ns: Callable[[], int] = time.monotonic_ns,
-                 sleep: Callable[[float], None] = time.sleep) -> None:
-        super().__init__(link, wiring, now_ns, sleep)
+    def __init__(self, link: Link[Frames], wiring: Wiring, *clock: Any) -> None:
+        super().__init__(link, wiring, *clock)
         self.settings: dict[str, float] = {}
         """What `conf get` said; NaN where the firmware does not know the setting."""
         self._where = f"moteus {wiring.node}"
@@ -309,7 +307,5 @@ def open_link(wiring: Wiring) -> Link[Frames]:
     return CanLink(wiring.node, accept=mine, **{**wiring.can, "fd": True})
 
 
-def attach(link: Link[Frames], wiring: Wiring, now_ns: Callable[[], int],
-           sleep: Callable[[float], None]) -> MoteusDrive:
-    """The moteus behind `link`, not yet greeted."""
-    return MoteusDrive(link, wiring, now_ns, sleep)
+attach = MoteusDrive
+"""The moteus behind a link, not yet greeted."""

@@ -8,8 +8,7 @@ WATCHDOG_TIMER_EXPIRED. Polling goes on meanwhile, so a watchdog that polling fe
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from typing import Any
 
 from drivers.can_frame import NODE_BITS, ONE_MESSAGE, Frames
 from drivers.cansimple import (
@@ -75,9 +74,8 @@ class OdriveDrive(PolledDrive[Frames]):
     capabilities = Capabilities(polled=True, clock="none", current="instant", knee_twice=False, hip=False,
                                 arming_s=2.5, lacks=LACKS)
 
-    def __init__(self, link: Link[Frames], wiring: Wiring, now_ns: Callable[[], int] = time.monotonic_ns,
-                 sleep: Callable[[float], None] = time.sleep) -> None:
-        super().__init__(link, wiring, now_ns, sleep)
+    def __init__(self, link: Link[Frames], wiring: Wiring, *clock: Any) -> None:
+        super().__init__(link, wiring, *clock)
         self._where = f"ODrive node {wiring.node}"
         self._version = ""
         self._found: dict[Msg, tuple[float, ...]] = {}
@@ -264,7 +262,5 @@ def open_link(wiring: Wiring) -> Link[Frames]:
     return CanLink(wiring.node, **wiring.can)
 
 
-def attach(link: Link[Frames], wiring: Wiring, now_ns: Callable[[], int],
-           sleep: Callable[[float], None]) -> OdriveDrive:
-    """The ODrive behind `link`, not yet greeted."""
-    return OdriveDrive(link, wiring, now_ns, sleep)
+attach = OdriveDrive
+"""The ODrive behind a link, not yet greeted."""

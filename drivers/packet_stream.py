@@ -9,10 +9,12 @@ P = TypeVar("P")
 
 
 class PacketStream(ABC, Generic[P]):
-    """Packets from anywhere in a stream; a subclass knows their form, and counts what it throws away."""
+    """Packets from anywhere in a stream; a subclass knows their form."""
 
     def __init__(self) -> None:
         self._buffer = b""
+        self.bad = 0
+        """Broken packets that were thrown away."""
 
     def feed(self, data: bytes) -> list[P]:
         """Packets completed by `data`, in order."""
@@ -26,6 +28,12 @@ class PacketStream(ABC, Generic[P]):
     def clear(self) -> None:
         """Forget a packet that was begun."""
         self._buffer = b""
+
+    def _broken(self) -> Thrown:
+        """Count a broken packet, and go on one byte later."""
+        self.bad += 1
+        self._buffer = self._buffer[1:]
+        return THROWN
 
     @abstractmethod
     def _next(self) -> P | Thrown | None:

@@ -25,10 +25,10 @@ class SerialLink:
     Raises `DeviceAbsent` or `DeviceBusy` when it cannot be opened, `LinkLost` when it goes away later.
     """
 
-    def __init__(self, port: str, baud: int = 1_000_000, timeout_s: float = 0.02) -> None:
+    def __init__(self, port: str, baud: int = 1_000_000) -> None:
         self.port = port
         try:
-            self._serial = serial.Serial(port, baud, timeout=timeout_s, write_timeout=0.5, exclusive=True)
+            self._serial = serial.Serial(port, baud, timeout=0.02, write_timeout=0.5, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None) or 0
             kind, why = _OPEN_ERRORS.get(number, (DeviceAbsent, f"cannot be opened as a serial port ({error})"))

@@ -89,7 +89,7 @@ def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any,
             for got in decoder.feed(chunk):
                 delivered += 1
                 wrong += got not in recent
-    counted = decoder.bad_crc + decoder.bad_length + getattr(decoder, "unknown", 0)
+    counted = sum(getattr(decoder, name, 0) for name in ("bad", "bad_crc", "bad_length", "unknown"))
     return Outcome(frames, broken, delivered, wrong, broken * CRC_ODDS, counted, time.perf_counter() - started)
 
 

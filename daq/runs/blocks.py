@@ -30,10 +30,10 @@ class Mean:
         return abs(self.drift) > max(self.drift_half, self.half)
 
 
-def block_means(values: FloatArray, blocks: int = BLOCKS) -> FloatArray:
-    """(blocks,) means of equal segments of `values` (n,), n at least `blocks`; a remainder at the end is left out."""
-    size = values.size // blocks
-    return values[: size * blocks].reshape(blocks, size).mean(axis=1)
+def block_means(values: FloatArray) -> FloatArray:
+    """(BLOCKS,) means of equal segments of `values` (n,), n at least BLOCKS; a remainder at the end is left out."""
+    size = values.size // BLOCKS
+    return values[: size * BLOCKS].reshape(BLOCKS, size).mean(axis=1)
 
 
 def mean_of(values: FloatArray) -> Mean:

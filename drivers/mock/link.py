@@ -14,6 +14,7 @@ COARSE_NS, FINE_NS = 250_000, 20_000
 """How often a waiting read looks: finely while the device may be answering, since a real read returns with the first
 byte of the answer."""
 ANSWER_NS = 150_000
+TIMEOUT_NS = 1_000_000
 
 
 class SerialDevice(Protocol):
@@ -36,9 +37,9 @@ class EmulatorLink:
     `()` for a device on CAN.
     """
 
-    def __init__(self, device: SerialDevice, clock: Clock, timeout_s: float = 0.001, delay_s: float = 0.0003,
+    def __init__(self, device: SerialDevice, clock: Clock, delay_s: float = 0.0003,
                  jitter_s: float = 0.0001, seed: int = 0, nothing: Any = b"") -> None:
-        self._device, self._clock, self._timeout_s = device, clock, timeout_s
+        self._device, self._clock = device, clock
         self._delay_s, self._jitter_s = delay_s, jitter_s
         self._rng = np.random.default_rng(seed)
         self._up: deque[tuple[int, Any]] = deque()
@@ -49,7 +50,7 @@ class EmulatorLink:
 
     def read(self) -> Any:
         """Bytes that have arrived; waits up to the timeout for some. Raises `LinkLost` once unplugged."""
-        deadline = self._clock.now_ns() + round(self._timeout_s * 1e9)
+        deadline = self._clock.now_ns() + TIMEOUT_NS
         while not (data := self._arrived()):
             now = self._clock.now_ns()
             if now >= deadline:

@@ -57,9 +57,9 @@ class PredictedRun:
         """Longest of its segments [s]."""
         return float(np.diff(self.ends, prepend=0).max() - 1) / self.rate_hz
 
-    def trace(self, channel: str, model: int = 0, horizon_s: float = np.inf) -> FloatArray:
-        """(N,) the channel as `model` simulates it."""
-        found: FloatArray = self.simulated[model, self.horizons_s.index(horizon_s), self.channels.index(channel)]
+    def trace(self, channel: str, model: int) -> FloatArray:
+        """(N,) the channel as `model` simulates whole segments."""
+        found: FloatArray = self.simulated[model, self.horizons_s.index(np.inf), self.channels.index(channel)]
         return found
 
 
@@ -164,8 +164,8 @@ def _until_lost(one: SmoothedRun, where: slice) -> tuple[FloatArray, FloatArray]
     return q, v
 
 
-def band(one: SmoothedRun, covariance: FloatArray, sigmas: float = TWO_SIDED) -> FloatArray | None:
-    """(C, N) half width of the band of free runs by the parameters' `covariance` (m, m), to first order.
+def band(one: SmoothedRun, covariance: FloatArray) -> FloatArray | None:
+    """(C, N) half width of the 95 % band of free runs by the parameters' `covariance` (m, m), to first order.
 
     None where parameters are not determined or a free run diverges.
     """
@@ -182,7 +182,7 @@ def band(one: SmoothedRun, covariance: FloatArray, sigmas: float = TWO_SIDED) ->
         if moved is None:
             return None
         squares += (rows_of(one.problem, moved.v, moved.readings) - middle) ** 2
-    return np.asarray(sigmas * np.sqrt(squares))
+    return np.asarray(TWO_SIDED * np.sqrt(squares))
 
 
 def _moved(one: SmoothedRun, base: FreeRun, parameters: FloatArray) -> FreeRun | None:

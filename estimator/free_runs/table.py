@@ -115,9 +115,9 @@ class PredictionTable:
         """The same of the last velocity kept."""
         return self._root(self.kept[model, :, :, self.horizons_s.index(horizon_s)], channel)
 
-    def rms_residual(self, channel: str, model: int = 0) -> float:
-        """The same of the smoothed motion itself."""
-        return self._root(self.residual[model], channel)
+    def rms_residual(self, channel: str) -> float:
+        """The same of the first model's smoothed motion itself."""
+        return self._root(self.residual[0], channel)
 
     def _root(self, squares: FloatArray, channel: str, run: int | None = None) -> float:
         c = self.channels.index(channel)

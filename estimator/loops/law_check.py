@@ -14,7 +14,6 @@ from estimator.loops.law_fit import (
     MOST_FAULTS,
     RIVAL,
     SUFFICES,
-    Found,
     LawFit,
     error_of,
     fitted,
@@ -61,16 +60,16 @@ class LawCheck:
         return self.after.share > BROKEN
 
 
-def check_law(runs: Sequence[LawRun], joint: int, known: Found = ()) -> LawCheck:
-    """The faults of a joint's (0-based) readings and loop that its law shows in `runs`, with those `known` beforehand.
+def check_law(runs: Sequence[LawRun], joint: int) -> LawCheck:
+    """The faults of a joint's (0-based) readings and loop that its law shows in `runs`.
 
     A fault is named where the law errs by more than LEAST_SHARE, and the fault explains the share SUFFICES of that,
     with a size that differs from zero over runs. Nothing is named where the law with all that was found is `broken`.
     """
-    begin = now = LawFit(tuple(runs), known)
+    begin = now = LawFit(tuple(runs), ())
     causes: list[LawCause] = []
-    while len(now.faults) - len(known) < MOST_FAULTS and now.share >= LEAST_SHARE:
-        taken = {fault.effect for fault, _ in now.faults[len(known) :]}
+    while len(now.faults) < MOST_FAULTS and now.share >= LEAST_SHARE:
+        taken = {fault.effect for fault, _ in now.faults}
         tried = [fitted(runs, now.faults, fault) for fault in LAW_FAULTS if fault.effect not in taken]
         best = min(tried, key=lambda one: one.deviance)
         gained = now.share**2 - best.share**2

@@ -200,16 +200,15 @@ class Collocation:
         out[self._rigid] = transposed.reshape(rigid.shape)
         return out
 
-    def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...],
-                 added: FloatArray | None = None) -> FloatArray:
-        """d(Z beta)/d(q0, v0, q1, v1): (n, 2, 4, n, K), row joint, Gauss point, end variable, its joint.
+    def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """d(Z beta)/d(q0, v0, q1, v1): (n, 2, 4, n, K), row joint, Gauss point, end variable, its joint."""
+        return self.by_ends(self._slopes(slopes, beta, shape))
+
+    def by_ends(self, own: FloatArray, added: FloatArray | None = None) -> FloatArray:
+        """`jacobian` from derivatives by the features of the motion (n, 2, 5, n, K).
 
         `added` (n, 5, n, 2, K) are derivatives by features of torque that comes from elsewhere.
         """
-        return self.by_ends(self._slopes(slopes, beta, shape), added)
-
-    def by_ends(self, own: FloatArray, added: FloatArray | None = None) -> FloatArray:
-        """`jacobian` from derivatives by the features of the motion (n, 2, 5, n, K)."""
         n, count = self.mechanism.n, own.shape[-1]
         if added is not None:
             own = own + added.transpose(0, 3, 1, 2, 4)

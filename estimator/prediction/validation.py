@@ -38,17 +38,17 @@ class Validation:
 V = TypeVar("V", bound=Validation)
 
 
-def validations_of(table: PredictionTable, model: int = 0) -> list[Validation]:
-    """The whole free runs of one model, one a gap-free segment."""
-    return segments_as(Validation, table, model)
+def validations_of(table: PredictionTable) -> list[Validation]:
+    """The whole free runs of the first model, one a gap-free segment."""
+    return segments_as(Validation, table)
 
 
-def segments_as(kind: type[V], table: PredictionTable, model: int = 0) -> list[V]:
+def segments_as(kind: type[V], table: PredictionTable) -> list[V]:
     """The same as a type that is derived from `Validation`."""
     out = []
     for run in table.runs:
         n = run.residual_torque.shape[-1]
-        simulated = run.simulated[model, run.horizons_s.index(np.inf), : 2 * n]
+        simulated = run.simulated[0, run.horizons_s.index(np.inf), : 2 * n]
         smoothed = run.smoothed[table.smoother, : 2 * n]
         reference = np.where(np.isfinite(run.measured[: 2 * n]), run.measured[: 2 * n], smoothed)
         compared = np.where(table.read[: 2 * n, None], run.measured[: 2 * n], smoothed)

@@ -28,6 +28,7 @@ from estimator.signals.filters import central_difference, lowpass
 
 IMU_COLUMNS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
 """Of the first IMU."""
+CROSSOVER_HZ = 0.3
 
 
 def imu_columns(number: int) -> tuple[str, str, str]:
@@ -143,8 +144,8 @@ def tilt(accel_x: FloatArray, accel_y: FloatArray, gyro: FloatArray, rate_hz: fl
 
 
 def fuse_tilt(accel_x: FloatArray, accel_y: FloatArray, gyro: FloatArray, rate_hz: float, lever_arm: float,
-              cutoff_hz: float | None, crossover_hz: float = 0.3) -> FloatArray:
-    """q1 (n,) [rad], unwrapped: the gyro's integral above `crossover_hz`, gravity's tilt below it.
+              cutoff_hz: float | None) -> FloatArray:
+    """q1 (n,) [rad], unwrapped: the gyro's integral above CROSSOVER_HZ, gravity's tilt below it.
 
     Zero phase, so it may start a smoother; it is not an estimate with an error bar.
     """
@@ -153,7 +154,7 @@ def fuse_tilt(accel_x: FloatArray, accel_y: FloatArray, gyro: FloatArray, rate_h
     rate = 0.5 * (gyro[1:] + gyro[:-1]) / rate_hz
     integral = np.concatenate(([0.0], np.cumsum(rate)))
     slow = angle - integral
-    if slow.shape[0] < 6 * rate_hz / crossover_hz:
+    if slow.shape[0] < 6 * rate_hz / CROSSOVER_HZ:
         trend = np.polynomial.Polynomial.fit(np.arange(slow.shape[0]), slow, 1)
         return integral + trend(np.arange(slow.shape[0]))
-    return integral + lowpass(slow, crossover_hz, rate_hz, 2)
+    return integral + lowpass(slow, CROSSOVER_HZ, rate_hz, 2)

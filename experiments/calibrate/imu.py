@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,15 +17,14 @@ DRAIN_EVERY_S = 0.01
 AXES = [f"{sensor} {axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 
 
-def record_still(imu: Lsm9ds1, seconds: float, name: str, now_ns: Callable[[], int] = time.monotonic_ns,
-                 sleep: Callable[[float], None] = time.sleep) -> StillRecord:
+def record_still(imu: Lsm9ds1, seconds: float, name: str) -> StillRecord:
     """Samples of an open IMU for so long, from behind the last gap on. Raises a `DriverError`."""
     imu.drain()  # what gathered in the FIFO while somebody turned the chip
     parts: list[np.ndarray] = []
-    first_ns = last_ns = now_ns()
+    first_ns = last_ns = time.monotonic_ns()
     end_ns = first_ns + round(seconds * 1e9)
     while last_ns < end_ns:
-        sleep(DRAIN_EVERY_S)
+        time.sleep(DRAIN_EVERY_S)
         batch = imu.drain()
         if batch.gap_before:
             parts, first_ns = [], last_ns

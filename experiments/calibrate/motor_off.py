@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +12,6 @@ from daq import InputError, Rig
 from daq.runs import RawRun, read_run
 from experiments.doctor import listen
 from experiments.rig import open_devices, open_imu, open_sensors
-
-Ask = Callable[[str], str]
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class Wanted:
 
 
 def record_off(rig: Rig, rig_text: str, where: str, wanted: Sequence[Wanted], seconds: float,
-               controller: bool = True, ask: Ask | None = None) -> list[RawRun]:
+               controller: bool = True) -> list[RawRun]:
     """One record of `seconds` a wish, nothing commanded. `controller`: it is needed, not only welcome.
 
     A single record starts at once; before each of several the person is asked. Raises `InputError` where a device is
@@ -46,7 +44,7 @@ def record_off(rig: Rig, rig_text: str, where: str, wanted: Sequence[Wanted], se
             sensors = stack.enter_context(open_sensors(rig, where))
         for one in wanted:
             if len(wanted) > 1:
-                answer(f"{one.prompt}, then press Enter ", ask)
+                answer(f"{one.prompt}, then press Enter ")
             else:
                 print(one.prompt)
             print(f"recording {one.name} for {seconds:g} s, motor off", flush=True)
@@ -68,10 +66,10 @@ def read_records(paths: Sequence[str]) -> list[RawRun]:
     return records
 
 
-def answer(question: str, ask: Ask | None = None) -> str:
+def answer(question: str) -> str:
     """Answer of the person. Raises `InputError` where there is nobody."""
     try:
-        return (ask or input)(question)
+        return input(question)
     except EOFError:
         raise InputError("standard input", "nobody answers", "run this on a terminal, or give records as RUN") from None
 

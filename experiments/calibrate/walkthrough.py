@@ -9,7 +9,7 @@ from pathlib import Path
 from daq import InputError, Rig, WorkError, load_rig, parse_rig, set_values
 from drivers import DriverError
 from estimator import FitError
-from experiments.calibrate.motor_off import Ask, answer, need_terminal
+from experiments.calibrate.motor_off import answer, need_terminal
 from experiments.calibrate.outcome import Outcome, store
 from experiments.console import text_table
 
@@ -40,8 +40,8 @@ STOPPED, SKIPPED = "stopped here", "skipped"
 SIX = "Take the IMU off: you will lay it on each of its six faces in turn. Put it back afterwards."
 
 
-def walk(path: str, measure: Mapping[str, Callable[[Rig], Outcome]], dry_run: bool, does: Mapping[str, str],
-         ask: Ask | None = None) -> str:
+def walk(path: str, measure: Mapping[str, Callable[[Rig], Outcome]], dry_run: bool, does: Mapping[str, str]
+         ) -> str:
     """Go through `STEPS`, write what each finds into the rig file at `path` at once; returns a summary.
 
     `measure` holds one measurement a step; `does` overrides what a step asks of the person. With `dry_run` later steps
@@ -60,7 +60,7 @@ def walk(path: str, measure: Mapping[str, Callable[[Rig], Outcome]], dry_run: bo
             rows.append([step.name, f"left out, no [devices.{step.device}]"])
             continue
         print(does.get(step.name, step.do))
-        outcome, words = _attempts(measure[step.name], rig, ask)
+        outcome, words = _attempts(measure[step.name], rig)
         if outcome is not None:
             print(outcome.text)
             for warning in outcome.warnings:
@@ -76,11 +76,11 @@ def walk(path: str, measure: Mapping[str, Callable[[Rig], Outcome]], dry_run: bo
     return "\n" + text_table(["step", "dry run: would write" if dry_run else "written"], rows, right=set())
 
 
-def _attempts(measure: Callable[[Rig], Outcome], rig: Rig, ask: Ask | None) -> tuple[Outcome | None, str]:
+def _attempts(measure: Callable[[Rig], Outcome], rig: Rig) -> tuple[Outcome | None, str]:
     """The outcome, or the word for none: a measurement that fails can be taken again."""
     verb, failed = "begin", ""
     while True:
-        said = answer(f"Enter to {verb}, s to skip, q to stop: ", ask).strip().lower()
+        said = answer(f"Enter to {verb}, s to skip, q to stop: ").strip().lower()
         if said == "q":
             return None, STOPPED
         if said == "s":

@@ -29,7 +29,7 @@ class ServedRig(Closing):
     The port is a link in a folder of its own under the system's temporary one: a socket's path must be short.
     """
 
-    def __init__(self, folder: Path, seed: int = 1, hidden: Hidden = NOTHING, drive: str = "legid") -> None:
+    def __init__(self, folder: Path, hidden: Hidden = NOTHING, drive: str = "legid") -> None:
         make_directory(folder)
         self.rig_path = folder / "rig.toml"
         self._places = Path(tempfile.mkdtemp(prefix="legid-rig-"))
@@ -38,7 +38,7 @@ class ServedRig(Closing):
         self._drive = drive
         self._can = None if drive == "legid" or drive_facts(drive).serial else local_can()
         text = rig_with_drive(text, drive, toml_of(self._can) if self._can else "")
-        self.mock = emulate(parse_rig(text, RIG_FILE), seed, RealClock(), hidden=hidden)
+        self.mock = emulate(parse_rig(text, RIG_FILE), 1, RealClock(), hidden=hidden)
         self.controller: PtyServer | CanServer | None = None
         self.imu: I2cServer | None = None
         self.plug_in()
@@ -86,10 +86,10 @@ class ServedRig(Closing):
                 self.mock.drive.motor.forget(round(REMEMBER_S * 1e9 / STEP_NS))
 
 
-def write_plans(folder: Path, count: int = PLANS, seconds: float = PLAN_SECONDS, seed: int = 1) -> list[Path]:
+def write_plans(folder: Path, count: int = PLANS) -> list[Path]:
     """Torque plans with random phases of their own, enough of them for a diagnosis."""
     make_directory(folder)
     paths = [folder / f"plan{k + 1}.csv" for k in range(count)]
     for k, path in enumerate(paths):
-        write_plan(random_multisine(1000 * seed + k, seconds, PLAN_PEAK_NM), path)
+        write_plan(random_multisine(1000 + k, PLAN_SECONDS, PLAN_PEAK_NM), path)
     return paths

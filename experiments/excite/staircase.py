@@ -8,11 +8,12 @@ import numpy as np
 
 from daq.recording import Plan
 
-RAMP_S, HOLD_S = 3.0, 2.0
 RATE_HZ = 100.0
+RAMP, HOLD = 300, 200
+"""Samples of a ramp and of a hold: 3 s and 2 s."""
 
 
-def staircase(peak_nm: float, levels: int, ramp_s: float = RAMP_S, hold_s: float = HOLD_S) -> Plan:
+def staircase(peak_nm: float, levels: int) -> Plan:
     """Up and down in `levels` steps to `peak_nm` [N m] on both sides of zero, a smooth ramp and a hold each.
 
     Slow ramps keep the joint from swinging past its rest, where friction would stop it at random.
@@ -20,9 +21,9 @@ def staircase(peak_nm: float, levels: int, ramp_s: float = RAMP_S, hold_s: float
     up = np.linspace(0.0, peak_nm, levels + 1)
     side = np.concatenate([up, up[-2::-1]])
     targets = np.concatenate([side, -side[1:]])
-    ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(round(ramp_s * RATE_HZ)) / round(ramp_s * RATE_HZ))
-    parts = [np.zeros(round(hold_s * RATE_HZ))]
+    ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(RAMP) / RAMP)
+    parts = [np.zeros(HOLD)]
     for before, after in pairwise(targets):
-        parts += [before + (after - before) * ramp, np.full(round(hold_s * RATE_HZ), after)]
+        parts += [before + (after - before) * ramp, np.full(HOLD, after)]
     torque = np.concatenate(parts)
     return Plan(np.arange(torque.size) / RATE_HZ, torque)

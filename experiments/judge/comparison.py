@@ -15,6 +15,8 @@ CHANCE = 0.1
 """Share of sensors and horizons at which one of two equal models may come out better: 95 % intervals, and several of
 them of the same errors."""
 NAMES = ("A", "B")
+TOLD = 3
+"""Errors named in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +126,9 @@ def _place(error: HorizonError) -> str:
     return f"{error.column} over {horizon_text(error.horizon_s)}"
 
 
-def _places(errors: Sequence[HorizonError], most: int = 3) -> str:
-    more = f" and {len(errors) - most} more" if len(errors) > most else ""
-    return ", ".join(map(_place, errors[:most])) + more
+def _places(errors: Sequence[HorizonError]) -> str:
+    more = f" and {len(errors) - TOLD} more" if len(errors) > TOLD else ""
+    return ", ".join(map(_place, errors[:TOLD])) + more
 
 
 def horizon_text(horizon_s: float) -> str:

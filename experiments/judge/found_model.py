@@ -95,7 +95,7 @@ def _intervals(result: FitResult) -> tuple[tuple[float, float] | None, ...]:
     return tuple((float(low), float(high)) if np.isfinite([low, high]).all() else None for low, high in result.ci95())
 
 
-def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: datetime | None = None) -> Model:
+def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float) -> Model:
     """The extended model, or the nominal one where the verdict extends nothing."""
     settings = setup.settings if found.mechanism is None else fitted_settings(setup.settings, found.mechanism)
     mechanism = build_mechanism(settings)
@@ -116,7 +116,7 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         provenance=Provenance(runs=_whole_runs(_fitted(found), setup),
                               method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
-                              date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
+                              date=datetime.now(UTC).isoformat(timespec="seconds"),
                               version=program_version()))
 
 

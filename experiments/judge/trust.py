@@ -129,13 +129,13 @@ def deciding(table: PredictionTable) -> list[str]:
     return angles if any(name.startswith("q1") for name in angles) else list(table.judged)
 
 
-def fits_of(table: PredictionTable, run: int, horizon_s: float, model: int = 0) -> dict[str, float]:
-    """Measured channel -> fit [%] of one run; minus infinity where a whole segment diverges.
+def fits_of(table: PredictionTable, run: int, horizon_s: float) -> dict[str, float]:
+    """Measured channel -> fit [%] of one run by the first model; minus infinity where a whole segment diverges.
 
     A horizon longer than every segment means whole segments.
     """
     horizon_s = horizon_s if horizon_s in table.horizons_s else np.inf
-    found = {name: table.fit_percent(model, name, horizon_s, run) for name in table.judged}
+    found = {name: table.fit_percent(0, name, horizon_s, run) for name in table.judged}
     return {name: share for name, share in found.items() if not np.isnan(share)}
 
 

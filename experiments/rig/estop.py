@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
 from daq import InputError, Rig, WorkError
 
@@ -12,7 +11,7 @@ QUESTION = "This drive has no E-stop input. Is a hard-wired emergency stop, whic
            "within reach? [y/N] "
 
 
-def confirm_estop(rig: Rig, at_hand: bool, ask: Callable[[str], str] | None = None) -> None:
+def confirm_estop(rig: Rig, at_hand: bool) -> None:
     """Confirm the E-stop, unless the rig has legid's firmware or a person says that it is there (`at_hand`, or now).
 
     Raises `WorkError` where it is not, `InputError` where nobody can be asked.
@@ -20,11 +19,11 @@ def confirm_estop(rig: Rig, at_hand: bool, ask: Callable[[str], str] | None = No
     device = rig.devices.controller
     if device is None or device.kind == "legid" or at_hand:
         return
-    if ask is None and not sys.stdin.isatty():
+    if not sys.stdin.isatty():
         raise InputError(FLAG, "nobody is there to say that a hard-wired emergency stop is at hand",
                          f"give {FLAG} where it is, docs/safety.md says which")
     try:
-        answer = (ask or input)(QUESTION)
+        answer = input(QUESTION)
     except EOFError:
         answer = ""
     if answer.strip().lower() not in ("y", "yes"):

@@ -14,7 +14,7 @@ T = TypeVar("T")
 MODELS = ("leg2", "biped3", "joint1", "chain")
 
 
-def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFacts:
+def ask_facts(facts: RigFacts) -> RigFacts:
     """`facts` as somebody corrects them; what Enter keeps counts as assumed.
 
     The drive decides what is asked after it: without one there is nothing to record with. Raises `InputError` where the
@@ -23,7 +23,7 @@ def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFa
     def get(field: str, question: str, read: Callable[[str], Any], shown: str | None = None) -> None:
         nonlocal facts
         value = getattr(facts, field)
-        given = _answer(f"{question} [{shown if shown is not None else value}]: ", read, ask or input)
+        given = _answer(f"{question} [{shown if shown is not None else value}]: ", read)
         if given is not None:
             facts = replace(facts, known=facts.known | {field}, **{field: given})
 
@@ -59,11 +59,11 @@ def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFa
     return facts
 
 
-def _answer(question: str, read: Callable[[str], T], ask: Callable[[str], str]) -> T | None:
+def _answer(question: str, read: Callable[[str], T]) -> T | None:
     """None for Enter; asks again what cannot be used."""
     while True:
         try:
-            text = ask(question).strip()
+            text = input(question).strip()
         except EOFError:
             raise InputError("input", "the answers end before the questions",
                              "answer all, or use --defaults or --probe") from None

@@ -43,7 +43,7 @@ class Prepared:
 
 
 def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,
-            latent: str = "trajectory", beta: FloatArray | None = None, damaged: bool = False,
+            latent: str = "trajectory", beta: FloatArray | None = None,
             choose: bool = False) -> Prepared:
     """The runs (files, or data sets) of a rig, ready for any verb, in their order.
 
@@ -51,12 +51,12 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
 
     - `choose`: entries that the rig file leaves open are chosen by the records (fit, tune);
     - `beta` (p,): parameters of a model, by which encoders' zeros are found (validate, compare);
-    - `sensors`, `fixed`, `latent`, `damaged`: as the command line gives them.
+    - `sensors`, `fixed`, `latent`: as the command line gives them.
 
     Raises `InputError` for a run or a rig that cannot be read, and `FitError` where no run is left, or zeros or steps
     cannot be found.
     """
-    datasets = as_datasets(runs, rig, damaged)
+    datasets = as_datasets(runs, rig)
     bare = setup_of(datasets, unzeroed(rig), sensors, fixed)
     known_zeros = with_step_zeros(bare.datasets, bare.mechanism, bare.options)
     in_time = without_starts(with_lost_samples(known_zeros, bare.mechanism, bare.options), bare.mechanism, bare.options)

@@ -33,7 +33,7 @@ WORKERS = 2
 
 
 def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = DEFAULT, runs: int = RUNS,
-             body: LegBody | None = None, drive: str = "legid") -> Demo:
+             drive: str = "legid") -> Demo:
     """Record `runs` runs of `seconds` [s] on a leg that hides `effect`, fit, diagnose; everything goes into `out`.
 
     `drive`: the kind that turns its knee.
@@ -47,7 +47,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     rig = parse_rig(rig_text, RIG_FILE)
     remove_earlier_runs(out)
     write_text(out / "rig.toml", rig_text)
-    body = body or LegBody(gravity=rig.mechanism.gravity_mps2)
+    body = LegBody(gravity=rig.mechanism.gravity_mps2)
     hidden = EFFECTS.get(effect, NOTHING)
     prepared = prepare(record_runs(out, rig, rig_text, runs, seconds, seed, body, hidden), rig)
     setup = prepared.setup

@@ -58,7 +58,7 @@ def test_any_cut_of_the_stream_gives_the_same_packets() -> None:
         n = int(rng.integers(1, 40))
         found += decoder.feed(stream[:n])
         stream = stream[n:]
-    assert len(found) == 300 and decoder.bad_crc == decoder.bad_length == 0
+    assert len(found) == 300 and decoder.bad == 0
 
 
 def test_broken_packets_are_counted_and_nothing_false_comes_through() -> None:
@@ -72,7 +72,7 @@ def test_broken_packets_are_counted_and_nothing_false_comes_through() -> None:
         for packet in decoder.feed(one):
             assert dxl.status(packet.ident, packet.error, packet.params) in sent
             whole += 1
-    assert whole > 0.5 * len(sent) and decoder.bad_crc + decoder.bad_length > 100
+    assert whole > 0.5 * len(sent) and decoder.bad > 100
 
 
 # -- units ---------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """`legid calibrate imu` on a chip whose errors are known, from files and from the chip, into rig.toml."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -14,7 +15,6 @@ from drivers import ImuConfig, Lsm9ds1, SelfTest
 from drivers.mock import ImuSettings, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from experiments.calibrate import store
-from experiments.calibrate.imu import record_still
 from experiments.calibrate.outcome import Outcome
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
@@ -198,7 +198,7 @@ def test_the_command_on_the_chip_itself(tmp_path: Path, shell: Shell, monkeypatc
     now_ns, sleep = bench.clock.now_ns, bench.clock.sleep  # the clocks that the command takes by default
     monkeypatch.setattr(Lsm9ds1.__init__, "__defaults__", (0x6B, None, now_ns, 400.0, sleep))
     monkeypatch.setattr(SelfTest.__init__, "__defaults__", (sleep, now_ns))
-    monkeypatch.setattr(record_still, "__defaults__", (now_ns, sleep))
+    monkeypatch.setattr("experiments.calibrate.imu.time", SimpleNamespace(monotonic_ns=now_ns, sleep=sleep))
     shell("calibrate imu --rig", rig, "--seconds 20 --self-test")
     out = shell.out
     assert "accelerometer passed" in out and "gyroscope passed" in out

@@ -76,13 +76,16 @@ def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path
     assert "no such port" in shell.err
 
 
-def test_the_question_is_answered_by_yes_alone() -> None:
+def test_the_question_is_answered_by_yes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     rig = parse_rig(rig_text("odrive"))
     for yes in ("y", " Yes "):
-        confirm_estop(rig, False, partial(str.format, yes))
+        monkeypatch.setattr("builtins.input", partial(str.format, yes))
+        confirm_estop(rig, False)
     for no in ("", "n", "j"):
+        monkeypatch.setattr("builtins.input", partial(str.format, no))
         with pytest.raises(WorkError, match="no hard-wired emergency stop at hand"):
-            confirm_estop(rig, False, partial(str.format, no))
+            confirm_estop(rig, False)
     confirm_estop(rig, True)
     confirm_estop(parse_rig(rig_text("legid")), False)
 
