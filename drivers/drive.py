@@ -33,14 +33,12 @@ class Received(NamedTuple):
 
 @dataclass(frozen=True)
 class LinkStats:
-    """Counts since the drive object was made; `bytes_` are frames on CAN."""
+    """Counts since the drive object was made."""
 
     bad_crc: int
     bad_length: int
     unknown: int
     lost: int
-    bytes_in: int
-    bytes_out: int
     reboots: int
 
 

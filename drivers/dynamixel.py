@@ -8,7 +8,6 @@ Protocol 2.0" and the control tables of each model (emanual.robotis.com/docs/en/
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -134,11 +133,6 @@ def status(ident: int, error: int, params: bytes = b"") -> bytes:
 def read(ident: int, address: int, size: int) -> bytes:
     """Instruction: so many bytes from an address on."""
     return packet(ident, Instruction.READ, struct.pack("<HH", address, size))
-
-
-def sync_read(idents: Sequence[int], address: int, size: int) -> bytes:
-    """Instruction: the same bytes of several, which answer one behind the other."""
-    return packet(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(idents))
 
 
 def silent_write(ident: int, address: int, data: bytes) -> bytes:

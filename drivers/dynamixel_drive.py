@@ -263,7 +263,7 @@ class DynamixelDrive(PolledDrive[bytes]):
             self._post(dxl.packet(node, dxl.Instruction.REBOOT), now=True)
             self._sleep(REBOOT_S)
         self._sleep(ANSWER_S)
-        self._read()  # an answer under way still shows what is forgotten
+        self._link.read()  # an answer under way still shows what is forgotten
         self._decoder.clear()
         self._asked_ns = 0
         self._counted.clear()

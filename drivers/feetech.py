@@ -8,7 +8,6 @@ ftservo-python-sdk (github.com/ftservo/FTServo_Python, scservo_sdk/sms_sts.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -103,11 +102,6 @@ def packet(ident: int, code: int, params: bytes = b"") -> bytes:
 def read(ident: int, address: int, size: int) -> bytes:
     """Instruction: so many bytes from an address on."""
     return packet(ident, Instruction.READ, bytes([address, size]))
-
-
-def sync_read(idents: Sequence[int], address: int, size: int) -> bytes:
-    """Instruction: the same bytes of several, which answer one behind the other."""
-    return packet(BROADCAST, Instruction.SYNC_READ, bytes([address, size, *idents]))
 
 
 def silent_write(ident: int, address: int, data: bytes) -> bytes:

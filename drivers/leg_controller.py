@@ -62,7 +62,7 @@ class LegController(LinkHolder):
         self._now_ns = now_ns
         self._codec: Codec[Any] = codec or Decoder()
         self._write_lock = threading.Lock()
-        self._bytes_in = self._bytes_out = self._reboots = 0
+        self._bytes_in = self._reboots = 0
         self._command_seq = self._ping_id = 0
 
     def open(self, timeout_s: float = 2.0) -> Hello:
@@ -154,13 +154,13 @@ class LegController(LinkHolder):
         frame = self._codec.encode(Ping(ping_id))
         with self._write_lock:
             host_tx_ns = self._now_ns()
-            self._write(frame)
+            self._link.write(frame)
         return ping_id, host_tx_ns
 
     def stop(self) -> None:
         """Torque zero and disarm."""
         with self._write_lock:
-            self._write(self._codec.cut + self._codec.encode(Stop()))
+            self._link.write(self._codec.cut + self._codec.encode(Stop()))
 
     def clear_faults(self) -> None:
         """Stop, then ask for the latched faults to be cleared; the telemetry that follows says if they were."""
@@ -172,13 +172,10 @@ class LegController(LinkHolder):
     def stats(self) -> LinkStats:
         """Counts so far."""
         d = self._codec
-        return LinkStats(d.bad_crc, d.bad_length, d.unknown, d.lost, self._bytes_in, self._bytes_out, self._reboots)
+        return LinkStats(d.bad_crc, d.bad_length, d.unknown, d.lost, self._reboots)
 
     def _send(self, message: Down) -> None:
         frame = self._codec.encode(message)
         with self._write_lock:
-            self._write(frame)
+            self._link.write(frame)
 
-    def _write(self, data: Any) -> None:
-        self._link.write(data)
-        self._bytes_out += len(data)

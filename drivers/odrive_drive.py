@@ -118,10 +118,10 @@ class OdriveDrive(PolledDrive[Frames]):
 
     def _need_quiet(self) -> None:
         """Raises `DeviceFault` if cyclic messages are on: they would pass for answers, but with unknown times."""
-        self._read()
+        self._link.read()
         end, heard = self._now_ns() + round(QUIET_S * 1e9), set()
         while self._now_ns() < end:
-            heard |= set(self._sort(self._read())) & set(SAMPLE)
+            heard |= set(self._sort(self._link.read())) & set(SAMPLE)
         if heard:
             names = ", ".join(sorted(msg.name for msg in heard))
             raise DeviceFault(f"{self._where}: sends {names} unasked; set axis0.config.can.encoder_msg_rate_ms, "

@@ -79,7 +79,7 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
         self._lock = threading.RLock()
         self._enabled = self._unsure = False
         self._latched = 0
-        self._bad = self._unknown = self._lost = self._reboots = self._bytes_in = self._bytes_out = 0
+        self._bad = self._unknown = self._lost = self._reboots = 0
         self._period_ns = round(1e9 / wiring.rate_hz)
         self._asked_ns = self._due_ns = self._cleared_ns = 0
         self._request = -1
@@ -158,7 +158,7 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
         self._attend()
         if not self._asked_ns and not self._begin():
             return []
-        chunk = self._read()
+        chunk = self._link.read()
         host_ns = self._now_ns()
         reading = self._hear(chunk)
         if reading is None:
@@ -180,7 +180,7 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
             if now < self._due_ns:
                 return False
         if self._unsure:
-            self._read()  # an answer that came too late is nobody's
+            self._link.read()  # an answer that came too late is nobody's
             self._unsure = False
             now = self._now_ns()
         self._due_ns = max(self._due_ns + self._period_ns, now - CATCH_UP * self._period_ns)
@@ -255,20 +255,14 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
 
     @property
     def stats(self) -> LinkStats:
-        return LinkStats(self._bad, 0, self._unknown, self._lost, self._bytes_in, self._bytes_out, self._reboots)
+        return LinkStats(self._bad, 0, self._unknown, self._lost, self._reboots)
 
     def _said(self) -> str:
         return f" ({self.words})" if self.words else ""
 
-    def _read(self) -> Chunk:
-        chunk = self._link.read()
-        self._bytes_in += len(chunk)  # bytes or a tuple of frames
-        return chunk
-
     def _write(self, chunk: Chunk) -> None:
         with self._lock:
             self._link.write(chunk)
-            self._bytes_out += len(chunk)  # type: ignore[arg-type]
 
     def _answer(self, request: Callable[[], None], take: Callable[[Chunk], Any], timeout_s: float) -> Any:
         """What `take` makes of what comes back, asked for again until then; None where nothing does in time."""
@@ -277,7 +271,7 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
             if now >= ask_at:
                 request()
                 ask_at = now + ASK_AGAIN_NS
-            found = take(self._read())
+            found = take(self._link.read())
             if found is not None:
                 return found
         return None

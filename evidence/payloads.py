@@ -7,6 +7,7 @@ place of link 2. The second four are compared with the first. Called again it go
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,11 +42,19 @@ class Outcome(NamedTuple):
     """Mass and its interval [kg]; None where the answer has no payload of link 2 with a mass."""
 
 
+def carrying(body: LegBody, mass_kg: float, arm_m: float) -> LegBody:
+    """The leg with a point mass fixed to link 2, so far from the knee."""
+    whole = body.m2 + mass_kg
+    centre = (body.m2 * body.c2 + mass_kg * arm_m) / whole
+    inertia = body.i2 + body.m2 * (body.c2 - centre) ** 2 + mass_kg * (arm_m - centre) ** 2
+    return replace(body, m2=whole, c2=centre, i2=inertia)
+
+
 def loaded(number: int) -> tuple[LegBody, LegBody, float, float]:
     """Leg `number` and the same with its payload, mass [kg] and distance from the knee [m]."""
     rng, body = np.random.default_rng([SEED, number]), leg_of(SEED, number)
     share, arm = float(np.exp(rng.uniform(*np.log(SHARES)))), float(rng.uniform(0.0, FARTHEST_M))
-    return body, body.carrying(share * body.m2, arm), share * body.m2, arm
+    return body, carrying(body, share * body.m2, arm), share * body.m2, arm
 
 
 @kept

@@ -34,9 +34,8 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
             return LogLevels(len(runs), {})
         for name, error in errors.items():
             found.setdefault(name, []).append(error)
-    logs = {name: np.log(values) for name, values in found.items()
-            if len(values) == len(runs) and min(values) > 0.0 and max(values) < np.inf}
-    return LogLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+    return LogLevels.of(len(runs), {name: values for name, values in found.items()
+                                    if len(values) == len(runs) and max(values) < np.inf})
 
 
 def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[str, float]:

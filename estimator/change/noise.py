@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -26,13 +27,18 @@ class LogLevels:
     runs: int
     levels: Mapping[str, tuple[float, float]]
 
+    @classmethod
+    def of(cls, runs: int, values: Mapping[str, Sequence[float]]) -> Self:
+        """Those of the columns whose `values`, one a run, are all positive."""
+        logs = {name: np.log(own) for name, own in values.items() if min(own) > 0.0}
+        return cls(runs, {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+
 
 def levels_of(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> LogLevels:
     """Noise levels of the columns that a fit reads and whose noise shows in every run."""
     shown = {name: [white_noise_level(run[name][np.isfinite(run[name])]) for run in runs]
              for name in _columns(mechanism, options) if all(name in run for run in runs)}
-    logs = {name: np.log(values) for name, values in shown.items() if min(values) > 0.0}
-    return LogLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+    return LogLevels.of(len(runs), shown)
 
 
 def _columns(m: Mechanism, options: FitOptions) -> list[str]:

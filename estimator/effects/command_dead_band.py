@@ -7,7 +7,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, made
+from estimator.effects.loop_effect import LoopEffect, Motion, made
 
 
 class CommandDeadBand(LoopEffect):
@@ -23,8 +23,7 @@ class CommandDeadBand(LoopEffect):
     experiment = "slow ramps of the command in both directions"
     plans = ("slow", "ramps")
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         error, rate_error = told.error(*motion)
         width = float(size[0])
         most = np.maximum(np.maximum(np.abs(error), abs(width)), 1e-12)  # so that no power is too small a number

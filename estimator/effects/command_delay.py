@@ -5,7 +5,7 @@ from __future__ import annotations
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, made
+from estimator.effects.loop_effect import LoopEffect, Motion, made
 
 
 class CommandDelay(LoopEffect):
@@ -26,6 +26,5 @@ class CommandDelay(LoopEffect):
         late_ms = 1e3 * abs(float(size[0]))
         return f"a command acts {late_ms:.3g} ms {'after' if size[0] > 0.0 else 'before'} it was logged"
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         return made(told, *told.error(*motion, late_s=float(size[0])), motion[1])

@@ -9,7 +9,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Shape, Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, made
+from estimator.effects.loop_effect import LoopEffect, Motion, made
 
 GRIDS = tuple(math.radians(step) for step in (360.0 / 4096.0, 360.0 / 1024.0, 0.29, 1.0, 2.0))
 """Steps of a command [rad]: 12 and 10 bits a turn, 0.29 degrees of the AX series, whole degrees and pairs of them."""
@@ -27,8 +27,7 @@ class CommandSteps(LoopEffect):
     experiment = "slow ramps of the command"
     plans = ("slow", "ramps")
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         error, rate_error = told.error(*motion)
         angle = told.heard[0]
         return made(told, error + size[0] * (np.round(angle / size[1]) * size[1] - angle), rate_error, motion[1])

@@ -7,12 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Points, Shape, Size, TorqueEffect, View
-from estimator.effects.load_dependent_friction import of_servo
-from estimator.model import Mechanism
+from estimator.effects.base import Points, Shape, Size, View
+from estimator.effects.load_dependent_friction import ServoFriction
 
 
-class DirectionalLoadFriction(TorqueEffect):
+class DirectionalLoadFriction(ServoFriction):
     """(k + ks exp(-(v/vs)^2)) |(1 - s) tau_m - s tau_e| sign(v).
 
     tau_m is the torque of the motor. With a voltage input it is the voltage less the viscous term, which is nearly all
@@ -45,6 +44,3 @@ class DirectionalLoadFriction(TorqueEffect):
 
     def felt(self, count: int) -> Iterable[int]:
         return range(count)
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return of_servo(mechanism, self.joint)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect
+from estimator.effects.loop_effect import LoopEffect, Motion
 
 LEAST = 0.1
 """Share of the gains."""
@@ -31,8 +31,7 @@ class GainScale(LoopEffect):
         likelihood takes for the best of fits."""
         return bool(size[0] > LEAST - 1.0)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         loop, more = told.loop, 1.0 + float(size[0])
         error, rate_error = told.error(*motion)
         return loop.acting(loop.wanted(more * error, more * rate_error, more * told.summed), motion[1], told.supply)

@@ -7,7 +7,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Shape, Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, reach
+from estimator.effects.loop_effect import LoopEffect, Motion, reach
 
 
 class InputLimit(LoopEffect):
@@ -27,8 +27,7 @@ class InputLimit(LoopEffect):
     plans = ("large", "fast")
     starts = ((1.0, 0.1), (1.0, 0.3))
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         error, rate_error = told.error(*motion)
         wanted = told.loop.wanted(error, rate_error, told.summed)
         level = size[1] * reach(told, view, self.joint or 0)

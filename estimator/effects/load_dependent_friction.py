@@ -20,11 +20,12 @@ def carried_load(at: Points, joint: int, view: View) -> FloatArray:
     return np.sqrt((at.u[joint] * at.sign[joint] - view.parameter("coulomb", joint)) ** 2 + 1e-6)
 
 
-def of_servo(mechanism: Mechanism, joint: int | None) -> str:
-    """Reason against a finer law of friction by load: it is that of a servo's gears; empty behind a position loop or a
-    motor on voltage."""
-    driven = mechanism.actuated if mechanism.force_unit == "V" else mechanism.followers
-    return "" if joint in driven else "no servo drives this joint"
+class ServoFriction(TorqueEffect):
+    """A finer law of friction by load: that of a servo's gears, behind a position loop or a motor on voltage."""
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        driven = mechanism.actuated if mechanism.force_unit == "V" else mechanism.followers
+        return "" if self.joint in driven else "no servo drives this joint"
 
 
 class LoadDependentFriction(TorqueEffect):

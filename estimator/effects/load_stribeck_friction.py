@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Points, Shape, Size, TorqueEffect, View
-from estimator.effects.load_dependent_friction import carried_load, of_servo
-from estimator.model import Mechanism
+from estimator.effects.base import Points, Shape, Size, View
+from estimator.effects.load_dependent_friction import ServoFriction, carried_load
 
 
-class LoadStribeckFriction(TorqueEffect):
+class LoadStribeckFriction(ServoFriction):
     """mu |tau - F sign(v)| exp(-|v/vs|^n) sign(v): the part of friction by load that motion takes away."""
 
     name = "load_stribeck_friction"
@@ -30,6 +29,3 @@ class LoadStribeckFriction(TorqueEffect):
         j = self.joint or 0
         near_rest = np.exp(-(np.abs(at.v[j] / size[1]) ** size[2]))
         return np.asarray(size[0] * carried_load(at, j, view) * near_rest * at.sign[j])
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return of_servo(mechanism, self.joint)

@@ -15,6 +15,10 @@ MOTION_STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3}
 """Of central differences by angle, rate and acceleration."""
 
 
+Motion = tuple[FloatArray, FloatArray, FloatArray]
+"""Angle, rate and acceleration."""
+
+
 class Around(Protocol):
     """Points that slopes are taken around."""
 
@@ -43,13 +47,11 @@ class LoopEffect(TorqueEffect):
             return {}
         return central(self._lacking(at.commanded.of_joint(j), moved_sides(at.q[j], at.v[j], at.a[j]), size, view))
 
-    def _lacking(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-                 ) -> FloatArray:
+    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         return np.asarray(told.input(*motion) - self.acting(told, motion, size, view))
 
     @abstractmethod
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         """(m, ...) torque of the loop [N m] at m motions q, v, a (m, ...) of its joint; `told` has (1, ...)."""
 
 
@@ -79,16 +81,14 @@ class ClosedLoop(LoopEffect):
             torque[self.joint or 0] += recorded
         return found
 
-    def _lacking(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-                 ) -> FloatArray:
+    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         return -told.input(*motion)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         return told.input(*motion)
 
 
-def moved_sides(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def moved_sides(q: FloatArray, v: FloatArray, a: FloatArray) -> Motion:
     """A motion (...) six times (6, ...): with the angle up and down, then the rate, then the acceleration."""
     found = tuple(np.repeat(np.asarray(x)[None], 6, axis=0) for x in (q, v, a))
     for k, (x, h) in enumerate(zip(found, MOTION_STEPS.values())):

@@ -8,7 +8,7 @@ from typing import ClassVar
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, made
+from estimator.effects.loop_effect import LoopEffect, Motion, made
 
 
 class _LoopValue(LoopEffect):
@@ -24,8 +24,7 @@ class LimitValue(_LoopValue):
     name = "loop_limit"
     sizes = (Size("limit", "N m", 0.02),)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         own = replace(told, loop=replace(told.loop, limit=max(float(size[0]), 0.0)))
         return made(own, *told.error(*motion), motion[1])
 
@@ -36,8 +35,7 @@ class DampingValue(_LoopValue):
     name = "loop_damping"
     sizes = (Size("damping", "N m s/rad", 0.01),)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         own = replace(told, loop=replace(told.loop, damping=told.loop.damping + float(size[0])))
         return made(own, *told.error(*motion), motion[1])
 
@@ -49,7 +47,6 @@ class VelocityFilter(_LoopValue):
     name = "velocity_filter"
     sizes = (Size("time_constant", "s", 0.001),)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         error, rate_error = told.error(*motion)
         return made(told, error, rate_error + float(size[0]) * motion[2], motion[1])

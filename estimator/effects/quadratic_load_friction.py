@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Points, Size, TorqueEffect, View
-from estimator.effects.load_dependent_friction import carried_load, of_servo
-from estimator.model import Mechanism
+from estimator.effects.base import Points, Size, View
+from estimator.effects.load_dependent_friction import ServoFriction, carried_load
 
 
-class QuadraticLoadFriction(TorqueEffect):
+class QuadraticLoadFriction(ServoFriction):
     """k (tau - F sign(v))^2 sign(v)."""
 
     name = "quadratic_load_friction"
@@ -27,6 +26,3 @@ class QuadraticLoadFriction(TorqueEffect):
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
         return np.asarray(size[0] * carried_load(at, j, view) ** 2 * at.sign[j])
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return of_servo(mechanism, self.joint)

@@ -11,7 +11,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Joined, Perturbation, SensorEffect, Shape, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect
+from estimator.effects.loop_effect import LoopEffect, Motion
 from estimator.model import Mechanism
 from estimator.signals import Channel, encoder_of, total
 
@@ -70,8 +70,7 @@ class EncoderEffect(SensorEffect, LoopEffect):
             return Perturbation(readings=readings)
         return replace(LoopEffect.perturb(self, view, size), readings=readings)
 
-    def _lacking(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-                 ) -> FloatArray:
+    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         """Input by the law as the model has it, less the one that acts.
 
         The model has that of the logged angle, or in a closed loop that of the true one.
@@ -82,8 +81,7 @@ class EncoderEffect(SensorEffect, LoopEffect):
         more = self.acting(told, motion, size, view) - told.input(*motion)
         return -more if heard else more
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         """(m, ...) input of a loop that hears the wrong angle."""
         q, v, a = motion
         below, at, above = (self.error(q + by, size) for by in (-STEP_RAD, 0.0, STEP_RAD))

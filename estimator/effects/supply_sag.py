@@ -7,7 +7,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Size, View
 from estimator.effects.commanded import Commanded
-from estimator.effects.loop_effect import LoopEffect, reach
+from estimator.effects.loop_effect import LoopEffect, Motion, reach
 
 
 class SupplySag(LoopEffect):
@@ -26,8 +26,7 @@ class SupplySag(LoopEffect):
     experiment = "the same commands at two amplitudes, with the supply's voltage logged"
     plans = ("large",)
 
-    def acting(self, told: Commanded, motion: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray, view: View
-               ) -> FloatArray:
+    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         error, rate_error = told.error(*motion)
         wanted = told.loop.wanted(error, rate_error, told.summed)
         left = np.maximum(1.0 - size[0] * np.abs(wanted) / reach(told, view, self.joint or 0), 0.1)

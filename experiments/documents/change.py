@@ -13,7 +13,7 @@ from daq import Dataset
 from estimator import ChangeVerdict
 from estimator.change import Change, Kind, LevelChange
 from experiments.documents.diagnosis_parts import CauseSize, Interval
-from experiments.documents.document import Damaged, Document, From, Number
+from experiments.documents.document import Aside, Damaged, Document, From, Number
 from experiments.judge import CHANGES, Headline, next_of_change
 from experiments.provenance import Source
 from experiments.session import SetAside, damaged_runs
@@ -145,7 +145,7 @@ class ChangeDocument(Answer, kw_only=True):
     schema: Annotated[Literal["legid.diagnosis/1"], Meta(description="of this document")] = "legid.diagnosis/1"
     against: Annotated[Against, Meta(description="the earlier runs")]
     runs: Annotated[dict[str, tuple[str, ...]], Meta(description="`test`: the later runs")]
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     damaged: Damaged = ()
     provenance: From = UNSET
 
@@ -203,7 +203,7 @@ class SessionsDocument(Document, kw_only=True):
     """Differences of sessions of a rig from the first of them."""
 
     schema: Annotated[Literal["legid.sessions/1"], Meta(description="of this document")] = "legid.sessions/1"
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     pairs: Annotated[tuple[Pair, ...], Meta(description="the first session with each other one")]
     damaged: Damaged = ()
     provenance: From = UNSET

@@ -9,9 +9,9 @@ from typing import Annotated, Literal, Self
 from msgspec import UNSET, Meta, Struct
 
 from daq import Dataset
-from experiments.documents.document import Damaged, Document, From, Number, known
+from experiments.documents.document import Aside, Damaged, Document, From, Number, known
 from experiments.judge import Comparison, Estimate, Headline, HorizonError, Trust, comparison_trust
-from experiments.session import SetAside, damaged_runs
+from experiments.session import damaged_runs
 
 
 class Value(Struct, frozen=True, kw_only=True):
@@ -59,7 +59,7 @@ class ComparisonDocument(Document, kw_only=True):
     parameters: Annotated[tuple[Pair, ...], Meta(description="one entry a parameter")]
     errors: Annotated[tuple[ErrorPair, ...], Meta(description="one entry a horizon and sensor")]
     trust: Annotated[Trust, Meta(description="the first line: the better model, and where")]
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     damaged: Damaged = ()
     provenance: From = UNSET
 

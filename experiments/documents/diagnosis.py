@@ -30,7 +30,7 @@ from experiments.documents.diagnosis_parts import (
     split_key,
     untestable,
 )
-from experiments.documents.document import Damaged, Document, From, Number, known
+from experiments.documents.document import Aside, Damaged, Document, From, Number, known
 from experiments.judge import VERDICTS, Headline, answer_words, next_step, verdict_title
 from experiments.session import SetAside, damaged_runs, faulty_readings
 
@@ -110,7 +110,7 @@ class DiagnosisDocument(Document, kw_only=True):
     next_experiment: Annotated[str, Meta(description="to tell more")] = ""
     next_step: Annotated[str, Meta(description="place, action and command")] = ""
     wall_s: Annotated[float, Meta(description="time that the diagnosis took [s]")] = 0.0
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     readings: Annotated[tuple[dict[str, object], ...], Meta(description="as in a fit")] = ()
     model: Annotated[str, Meta(description="the mechanism's model")] = ""
     force_unit: Annotated[str, Meta(description="as in a fit")] = "N m"

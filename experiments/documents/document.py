@@ -12,11 +12,13 @@ from msgspec import UNSET, Meta, Struct, UnsetType
 from daq import InputError, read_bytes
 from experiments.console import write_json
 from experiments.provenance import Origin
+from experiments.session import SetAside
 
 Number = float | None
 """Null in a file stands for what is not finite."""
 
 
+Aside = Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")]
 Damaged = Annotated[tuple[dict[str, str], ...], Meta(description="damaged runs: `run` and `what` is missing")]
 From = Annotated[Origin | UnsetType, Meta(description="[its files](#provenance)")]
 

@@ -13,7 +13,7 @@ from msgspec import UNSET, Meta, Struct, UnsetType, field
 from daq import Dataset
 from estimator import FitResult
 from estimator.fitting import next_measurement
-from experiments.documents.document import Damaged, Document, From, Number, finite, known
+from experiments.documents.document import Aside, Damaged, Document, From, Number, finite, known
 from experiments.documents.fit_parts import (
     Agreement,
     BudgetRow,
@@ -165,7 +165,7 @@ class FitDocument(Document, kw_only=True):
                                             "`torque_nm_by_joint`")] = ()
     force_unit: Annotated[str, Meta(description="of torques: N m, N or V")] = "N m"
     length_unit: Annotated[str, Meta(description="of angles: rad, or m")] = "rad"
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     readings: Annotated[tuple[dict[str, object], ...], Meta(
         description="[faulty readings](docs/exchange.md#a-look-at-the-readings): `run`, `column`, `what`, ...")] = ()
     servo_gain: Annotated[Gain | None, Meta(description="null if it was known")] = None

@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, Meta, Struct, field
 
-from experiments.documents.document import Damaged, Document, From, Number
-from experiments.session import SetAside
+from experiments.documents.document import Aside, Damaged, Document, From, Number
 
 What = Literal["rate", "hold", "delay"]
 
@@ -53,7 +52,7 @@ class TuningDocument(Document, kw_only=True):
     error_after: Annotated[Errors, Meta(description="the same with what was chosen")] = None
     horizon_s: Annotated[float, Meta(description="over which they predict [s]")]
     flags: Annotated[tuple[str, ...], Meta(description="warnings")] = field(name="doubts", default=())
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     damaged: Damaged = ()
     provenance: From = UNSET
 

@@ -9,10 +9,10 @@ import numpy as np
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from estimator.prediction import SHORT_S, PredictionTable, Validation, WalkAhead, validations_of
-from experiments.documents.document import Damaged, Document, From, Number
+from experiments.documents.document import Aside, Damaged, Document, From, Number
 from experiments.documents.walk import Walk
 from experiments.judge import Headline, Trust, fits_of
-from experiments.session import Prepared, SetAside, damaged_runs, faulty_readings
+from experiments.session import Prepared, damaged_runs, faulty_readings
 
 ByColumn = dict[str, Number]
 
@@ -70,7 +70,7 @@ class ValidationDocument(Document, kw_only=True):
     trust: Annotated[Trust, Meta(description="the first line")] = Trust("caution", "")
     fitted_to: Annotated[tuple[str, ...], Meta(description="files of these that the model was fitted to")] = ()
     horizons: Annotated[tuple[Horizon, ...], Meta(description="one entry a length")] = ()
-    set_aside: Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")] = ()
+    set_aside: Aside = ()
     readings: Annotated[tuple[dict[str, object], ...], Meta(description="as in a fit")] = ()
     walk: Annotated[Walk | UnsetType, Meta(description="of a walker, across touchdowns")] = UNSET
     simulator: Annotated[str | UnsetType, Meta(description="absent: legid's")] = UNSET

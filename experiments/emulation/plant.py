@@ -7,7 +7,7 @@ rigid body with mass, centre of mass and inertia; the knee's constraint force jo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, cos, sin
 from typing import NamedTuple
 
@@ -44,13 +44,6 @@ class LegBody:
     rotor: float = 0.0
     """Inertia of the knee's rotor, seen at the joint: gear ratio squared [kg m^2]. Turns with the knee only."""
     gravity: float = 9.81
-
-    def carrying(self, mass_kg: float, arm_m: float) -> LegBody:
-        """This leg with a point mass fixed to link 2, so far from the knee."""
-        whole = self.m2 + mass_kg
-        centre = (self.m2 * self.c2 + mass_kg * arm_m) / whole
-        inertia = self.i2 + self.m2 * (self.c2 - centre) ** 2 + mass_kg * (arm_m - centre) ** 2
-        return replace(self, m2=whole, c2=centre, i2=inertia)
 
     def friction(self, joint: int, direction: int, speed: float) -> float:
         """Level of dry friction [N m] of a joint that slides (or is about to) in a direction, +1 or -1."""
@@ -102,17 +95,6 @@ class LegPlant:
         """Motion now, under the torque of the last step."""
         modes = self._modes(self._x, self._torque)
         return LegState(*self._x, *self._acceleration(self._x, self._torque, modes))
-
-    def energy(self) -> float:
-        """Kinetic plus potential energy [J], zero at rest hanging straight down."""
-        b, (q1, q2, w1, q2d) = self.body, self._x
-        w2 = w1 + q2d
-        knee_speed2 = (b.l1 * w1) ** 2
-        com2_speed2 = knee_speed2 + (b.c2 * w2) ** 2 + 2.0 * b.l1 * b.c2 * w1 * w2 * cos(q2)
-        kinetic = 0.5 * ((b.i1 + b.m1 * b.c1**2) * w1**2 + b.i2 * w2**2 + b.m2 * com2_speed2 + b.rotor * q2d**2)
-        height1 = b.c1 * (1.0 - cos(q1))
-        height2 = b.l1 * (1.0 - cos(q1)) + b.c2 * (1.0 - cos(q1 + q2))
-        return kinetic + b.gravity * (b.m1 * height1 + b.m2 * height2)
 
     def step(self, dt: float, torque: float) -> LegState:
         """Motion after `dt` seconds of a constant knee torque [N m]."""

@@ -29,7 +29,8 @@ PRINTED = [
     ("read of the position", dxl.read(1, 132, 4), "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
     ("its status", dxl.status(1, 0, bytes([0xA6, 0, 0, 0])), "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0"),
     ("reboot", dxl.packet(1, Instruction.REBOOT), "FF FF FD 00 01 03 00 08 2F 4E"),
-    ("sync read", dxl.sync_read([1, 2], 132, 4), "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"),
+    ("sync read", dxl.packet(dxl.BROADCAST, Instruction.SYNC_READ, bytes([132, 0, 4, 0, 1, 2])),
+     "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"),
     ("sync write", dxl.packet(dxl.BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HHBIBI", 116, 4, 1, 150, 2, 170)),
      "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87"),
 ]
@@ -173,7 +174,7 @@ def test_two_on_a_line_do_not_disturb_each_other() -> None:
 def test_a_sync_read_has_both_answer_in_turn() -> None:
     bench = DriveBench("dynamixel")
     bench.far.others[7] = new_table(7, 1200)
-    bench.link.write(dxl.sync_read([7, 1], Address.MODEL_NUMBER, 2))
+    bench.link.write(dxl.packet(dxl.BROADCAST, dxl.Instruction.SYNC_READ, bytes([Address.MODEL_NUMBER, 0, 2, 0, 7, 1])))
     decoder, found = dxl.Decoder(), []
     for _ in range(5):
         found += decoder.feed(bench.link.read())

@@ -67,7 +67,7 @@ def test_we_build_what_it_builds_byte_for_byte() -> None:
     handler.syncWriteTxOnly(port, 116, 4, [9, 1, 2, 3, 4], 5)
     handler.syncReadTx(port, 126, 10, [1, 2, 7], 3, False)
     assert port.sent == [dxl.read(5, 132, 4), dxl.silent_write(9, 116, b"\1\2\3\4"),
-                         dxl.sync_read([1, 2, 7], 126, 10)]
+                         dxl.packet(dxl.BROADCAST, dxl.Instruction.SYNC_READ, bytes([126, 0, 10, 0, 1, 2, 7]))]
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xfd\x00", b"\x00\xff\xff\xfd", b"\xff\xff\xfd\xfd"])

@@ -175,7 +175,7 @@ def test_several_on_a_line_are_found() -> None:
     bench = DriveBench("feetech")
     bench.far.others[7] = new_table(7)
     assert find_nodes(bench.link, bench.wiring) == [1, 7]
-    bench.link.write(sts.sync_read([7, 1], Address.MODEL, 2))
+    bench.link.write(sts.packet(sts.BROADCAST, sts.Instruction.SYNC_READ, bytes([Address.MODEL, 2, 7, 1])))
     decoder, found = sts.Decoder(), []
     for _ in range(5):
         found += decoder.feed(bench.link.read())

@@ -66,5 +66,6 @@ def test_we_build_what_it_builds_byte_for_byte() -> None:
     handler.readTx(5, 56, 2)
     handler.syncWriteTxOnly(40, 1, [9, 0], 2)
     handler.syncReadTx(56, 15, [1, 2, 7], 3)
-    assert port.sent == [sts.read(5, 56, 2), sts.silent_write(9, 40, b"\0"), sts.sync_read([1, 2, 7], 56, 15)]
+    assert port.sent == [sts.read(5, 56, 2), sts.silent_write(9, 40, b"\0"),
+                         sts.packet(sts.BROADCAST, sts.Instruction.SYNC_READ, bytes([56, 15, 1, 2, 7]))]
     assert all(handler.scs_toscs(n, 15) == sts.from_signed(n) for n in (-32767, -1, 0, 1, 32767))
