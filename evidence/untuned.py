@@ -120,7 +120,7 @@ IMU_SPOILS: dict[str, tuple[Spoil, str]] = {
     "accelerometer's axes interchanged": (swapped("accel_x_mps2", "accel_y_mps2"), "accel_x_mps2 looks like"),
     "gyro negated": (negated("gyro_radps"), "gyro_radps looks negated"),
     "gyro in degrees": (times(180 / np.pi, "gyro_radps"), "gyro_radps looks in degrees"),
-    "accelerometer in g": (times(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), "looks in g"),
+    "accelerometer in g": (times(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), "look in g"),
     "knee's torque negated": (negated("tau2_nm"), "tau2_nm looks negated"),
     "knee in degrees": (times(180 / np.pi, "q2_rad"), "q2_rad looks in degrees"),
 }

@@ -36,3 +36,7 @@ from .torque_constant import TorqueConstant as TorqueConstant
 from .torque_constant import Weight as Weight
 from .torque_constant import fit_torque_constant as fit_torque_constant
 from .unexplained_start import unexplained_start as unexplained_start
+from .units import DEGREE as DEGREE
+from .units import TRIED as TRIED
+from .units import TURN as TURN
+from .units import G as G

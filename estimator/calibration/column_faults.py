@@ -8,7 +8,7 @@ window. Mistakes that no motion shows, such as the torque's scale, are not tried
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
+from estimator.calibration.units import TRIED, TWICE, correction
 from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
 from estimator.fitting import faults, free_mask
 from estimator.model import Mechanism
@@ -50,7 +51,6 @@ FOLDS = 4
 LEAST_SPAN, MOST_SPAN = 0.1, 20.0
 """How far an angle goes that was moved for an identification [rad]. A unit that makes it less is not tried; an angle
 that goes further turned, or is in another unit, or in counts."""
-DEGREE = float(np.pi / 180.0)
 
 
 @dataclass(frozen=True)
@@ -298,65 +298,56 @@ def _read(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Rem
     return Reading(remedy, left, faults(mechanism, found[: mechanism.p], std[: mechanism.p], q))
 
 
+def _scaled(mechanism: Mechanism, factors: Mapping[str, float], changes: int = 1) -> Remedy:
+    """The reading of columns (angles and torques) times these factors."""
+    n = mechanism.n
+    what, write = correction(factors)
+    angles, torques = (np.diag([factors.get(of(mechanism, j), 1.0) for j in range(n)])
+                       for of in (angle_column, _torque_column))
+    return Remedy(what, write, angles, np.zeros(n), torques, changes)
+
+
+def _torque_column(mechanism: Mechanism, j: int) -> str:
+    return torque_column(mechanism, j) if mechanism.force_unit != "V" else "duty"
+
+
 def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray) -> Iterator[Remedy]:
     """The mistakes that people make, undone one by one and, where signs are concerned, together; `span` (n,) is how far
     each angle goes as it is read."""
-    n, length = mechanism.n, mechanism.length_unit
+    n, turns = mechanism.n, mechanism.length_unit == "rad"
     nothing, eye = nothing_changed(n), np.eye(n)
     angles = list(range(int(imu), n))
-    name = {("q", j): angle_column(mechanism, j) for j in range(n)} | {
-        ("tau", j): torque_column(mechanism, j) if mechanism.force_unit != "V" else "duty" for j in range(n)}
-    signs = [("tau", j) for j in mechanism.actuated] + [("q", j) for j in angles]
+    q, tau = ([of(mechanism, j) for j in range(n)] for of in (angle_column, _torque_column))
+    signs = [tau[j] for j in mechanism.actuated] + [q[j] for j in angles]
     for count in range(1, len(signs) + 1):
         for which in combinations(signs, count):
-            flip = {kind: np.diag([-1.0 if (kind, j) in which else 1.0 for j in range(n)]) for kind in ("q", "tau")}
-            columns = [name[key] for key in which]
-            looks = "looks" if count == 1 else "look"
-            yield replace(nothing, angles=flip["q"], torques=flip["tau"], changes=count,
-                          what=f"{' and '.join(columns)} {looks} negated",
-                          write=f"turn the sign, {_set(columns, 'sign = -1')}")
-    if length == "rad":
-        for those in sorted({tuple(angles), *((j,) for j in angles)}):
-            columns = [name["q", j] for j in those]
-            for factor, what, unit in ((DEGREE, "in degrees", 'unit = "deg"'),
-                                       (2.0 * np.pi, "in turns", 'unit = "turn"'), (1e-3, "in mrad", 'unit = "mrad"'),
-                                       (1.0 / DEGREE, "converted from degrees twice", f"scale = {1.0 / DEGREE:.6g}")):
-                if factor * span[list(those)].max() < LEAST_SPAN:
-                    continue
-                scaled = np.diag([factor if j in those else 1.0 for j in range(n)])
-                looks = "looks" if len(those) == 1 else "look"
-                yield replace(nothing, angles=scaled, what=f"{' and '.join(columns)} {looks} {what}",
-                              write=_set(columns, unit))
-    for j in angles:
+            yield _scaled(mechanism, dict.fromkeys(which, -1.0), count)
+    for those in sorted({tuple(angles), *((j,) for j in angles)}) if turns else ():
+        for factor in (*TRIED["rad"].values(), TWICE):
+            if factor != 1.0 and factor * span[list(those)].max() >= LEAST_SPAN:
+                yield _scaled(mechanism, {q[j]: factor for j in those})
+    for j in angles if gear_ratio != 1.0 else ():
         for factor, said in ((gear_ratio, "divided by the gear ratio twice"),
                              (1.0 / gear_ratio, "of the motor's side")):
-            if gear_ratio != 1.0:
-                yield replace(nothing, angles=np.diag([factor if i == j else 1.0 for i in range(n)]),
-                              what=f"{name['q', j]} looks {said}", write=_set([name["q", j]], f"scale = {factor:.6g}"))
-    for j in range(n):
-        for k in range(j + 1, n):
-            swapped = eye.copy()
-            swapped[[j, k]] = swapped[[k, j]]
-            if j in angles:
-                yield replace(nothing, angles=swapped, what=f"{name['q', j]} and {name['q', k]} look interchanged",
-                              write="give each the other's name under [columns]", changes=2)
-            if j in mechanism.actuated and k in mechanism.actuated:
-                yield replace(nothing, torques=swapped, what=f"{name['tau', j]} and {name['tau', k]} look interchanged",
-                              write="give each the other's name under [columns]", changes=2)
-                if j in angles:
-                    yield replace(nothing, angles=swapped, torques=swapped, changes=3,
-                                  what=f"joints {j + 1} and {k + 1} look interchanged",
-                                  write="give each column the other's name under [columns]")
-    if mechanism.gravity_mps2 > 0.0 and not imu and length == "rad":
-        yield replace(nothing, zero=np.pi * eye[0], what=f"gravity looks upside down, or {name['q', 0]} counted from "
-                      "upright", write=_set([name["q", 0]], "offset = 3.14159265"))
-    if n > 1 and length == "rad":
-        relative = eye.copy()
-        for j in range(1, n):
-            relative[j, j - 1] = -1.0
-        if not imu:
-            yield replace(nothing, angles=relative, what="the angles look absolute, each counted from the vertical",
-                          write="subtract the angle of the link before from each before it is read", changes=2)
+            yield replace(_scaled(mechanism, {q[j]: factor}), what=f"{q[j]} looks {said}")
+    for j, k in combinations(range(n), 2):
+        swapped = eye.copy()
+        swapped[[j, k]] = swapped[[k, j]]
+        both = j in mechanism.actuated and k in mechanism.actuated
+        for which, what, changes in (({"angles": swapped}, f"{q[j]} and {q[k]}", 2),
+                                     ({"torques": swapped}, f"{tau[j]} and {tau[k]}", 2),
+                                     ({"angles": swapped, "torques": swapped}, f"joints {j + 1} and {k + 1}", 3)):
+            if (both or "torques" not in which) and (j in angles or "angles" not in which):
+                yield replace(nothing, **which, what=f"{what} look interchanged", changes=changes,
+                              write="give each column the other's name under [columns]")
+    if turns and not imu:
+        if mechanism.gravity_mps2 > 0.0:
+            yield replace(nothing, zero=np.pi * eye[0], what=f"gravity looks upside down, or {q[0]} counted from "
+                          "upright", write=f'set name = "{q[0]}" and offset = 3.14159265 under [columns.{q[0]}]')
+        if n > 1:
+            yield replace(nothing, angles=eye - np.eye(n, k=-1), changes=2, what="the angles look absolute, each "
+                          "counted from the vertical", write="subtract the angle of the link before from each before "
+                          "it is read")
 
 
 def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint: int, factors: FloatArray
@@ -367,15 +358,10 @@ def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint:
     column = angle_column(mechanism, joint)
 
     def at(log_factor: float) -> Reading:
-        factor = float(np.exp(log_factor))
-        scaled = np.diag([factor if j == joint else 1.0 for j in range(mechanism.n)])
-        size = f"{1.0 / factor:.3g} times too large" if factor < 1 else f"{factor:.3g} times too small"
-        entry = _set([column], f"scale = {factor:.4g}")
-        write = f"correct the gear ratio that it was divided by, or {entry}" if factors is GEAR_STEPS else \
-            f"{entry}, or what a count is exactly"
-        return _read(motion, mechanism, options, Remedy(
-            f"{column} looks {size}", write,
-            scaled, np.zeros(mechanism.n), np.eye(mechanism.n), 2))
+        scaled = _scaled(mechanism, {column: float(np.exp(log_factor))}, 2)
+        write = f"correct the gear ratio that it was divided by, or {scaled.write}" if factors is GEAR_STEPS else \
+            f"{scaled.write}, or what a count is exactly"
+        return _read(motion, mechanism, options, replace(scaled, write=write))
 
     steps = np.log(factors)
     coarse = [at(step) for step in steps]
@@ -390,8 +376,3 @@ def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint:
     shift = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
     fine = at(steps[best] + float(np.clip(shift, -1.0, 1.0)) * (steps[1] - steps[0]))
     return None if abs(np.log(fine.remedy.angles[joint, joint])) < NEAR_ONE else fine
-
-
-def _set(columns: Sequence[str], entry: str) -> str:
-    """What to write into rig.toml for each of these columns."""
-    return "set " + " and ".join(f'name = "{c}" and {entry} under [columns.{c}]' for c in columns)

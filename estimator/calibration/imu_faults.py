@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from daq import Dataset, FloatArray
+from estimator.calibration.units import DEGREE, TWICE, G, correction, tried
 from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
 from estimator.signals import IMU_COLUMNS, lowpass
 
@@ -23,14 +24,6 @@ WINDOW_S, FAST_HZ = 1.0, 8.0
 """Length of a window, in which the gyro's integral is the angle; above the frequency links ring."""
 LEVER_M, LEVER_SHARE = 0.03, 0.25
 """A lever arm that differs by more than both, in metres and as a share of the larger, may be wrong."""
-DEGREE, TURN = float(np.pi / 180.0), float(2.0 * np.pi)
-G = 9.80665
-GYRO_UNITS = {DEGREE: ("in degrees a second", 'unit = "deg/s"'), 1e-3 * DEGREE: ("in mdps", 'unit = "mdps"'),
-              TURN / 60.0: ("in rpm", 'unit = "rpm"'), TURN: ("in turns a second", 'unit = "turn/s"'),
-              1e-3: ("in mrad/s", "scale = 0.001"),
-              1.0 / DEGREE: ("converted from degrees twice", f"scale = {1.0 / DEGREE:.6g}")}
-"""Factor of a gyro's column -> its fault, and the entry of rig.toml that corrects it."""
-ACCEL_UNITS = {G: ("in g", 'unit = "g"'), 1e-3 * G: ("in mg", 'unit = "mg"'), 1e-3: ("in mm/s2", "scale = 0.001")}
 AROUND, AROUND_OTHER = 2.0, 1.3
 """The accelerometer's median length is gravity's within the first factor, or its unit is another: one that makes
 gravity of it within the second, or else a scale of the sensor's own."""
@@ -67,30 +60,10 @@ class ImuReading:
 
     def __str__(self) -> str:
         """What looks wrong, and its remedy."""
-        looks, writes = [], []
-        for name, row, own in ((ACCEL_X, self.axes[0], 0), (ACCEL_Y, self.axes[1], 1)):
-            source = int(np.argmax(np.abs(row)))
-            minus = "minus " if row[source] < 0 else ""
-            entries = [f'name = "{(ACCEL_X, ACCEL_Y)[source]}"']
-            if row[source] < 0:
-                entries.append("sign = -1")
-            scale = abs(float(row[source]))
-            if source != own:
-                looks.append(f"{name} looks like {minus}{(ACCEL_X, ACCEL_Y)[source]}")
-            elif row[source] < 0:
-                looks.append(f"{name} looks negated")
-            if scale != 1.0:
-                unit, entry = ACCEL_UNITS.get(scale) or _times(scale)
-                looks.append(f"{name} looks {unit}")
-                entries.append(entry)
-            if len(entries) > 1 or source != own:
-                writes.append(f"{', '.join(entries)} under [columns.{name}]")
-        if self.factor != 1.0:
-            unit, entry = GYRO_UNITS.get(abs(self.factor), ("", ""))
-            looks.append(f"{GYRO} looks {' and '.join(filter(None, ['negated' * (self.factor < 0), unit]))}")
-            entries = [f'name = "{GYRO}"', *["sign = -1"] * (self.factor < 0), *[entry] * bool(entry)]
-            writes.append(f"{', '.join(entries)} under [columns.{GYRO}]")
-        return f"{' and '.join(looks)}: set {' and '.join(writes)}, or correct calibration.imu_mount"
+        own = np.argmax(np.abs(self.axes), axis=1)
+        scales = dict(zip(IMU_COLUMNS[1:], self.axes[[0, 1], own].tolist())) | {GYRO: self.factor}
+        what, write = correction(scales, dict(zip(scales, [IMU_COLUMNS[1 + k] for k in own])))
+        return f"{what}: {write}, or correct calibration.imu_mount"
 
     def told(self, as_read: ImuReading) -> str:
         """The remedy, and what it gains over the columns as they are."""
@@ -166,7 +139,7 @@ def _accelerometer_unit(datasets: Sequence[Dataset], gravity: float) -> float:
     length = float(np.nanmedian([np.nanmedian(np.hypot(d[ACCEL_X], d[ACCEL_Y])) for d in datasets]))
     if gravity <= 0.0 or not 0.0 < length < np.inf:
         return 1.0
-    unit = min((1.0, *ACCEL_UNITS), key=lambda scale: abs(np.log(length * scale / gravity)))
+    unit = min(tried(ACCEL_X).values(), key=lambda scale: abs(np.log(length * scale / gravity)))
     off = abs(np.log(length * unit / gravity))
     return unit if off < np.log(AROUND if unit == 1.0 else AROUND_OTHER) else gravity / length
 
@@ -181,12 +154,7 @@ def _gyro_unit(datasets: Sequence[Dataset]) -> tuple[float, ...]:
         read += float(np.sum(lowpass(_known(data[GYRO]), UNIT_HZ, data.rate_hz) ** 2))
     if not (0.0 < turned < np.inf and 0.0 < read < np.inf):
         return ()
-    return (min((1.0, *GYRO_UNITS), key=lambda factor: abs(np.log(factor**2 * read / turned))),)
-
-
-def _times(scale: float) -> tuple[str, str]:
-    size = f"{1.0 / scale:.3g} times too large" if scale < 1.0 else f"{scale:.3g} times too small"
-    return size, f"scale = {scale:.4g}"
+    return (min((*tried(GYRO).values(), TWICE), key=lambda factor: abs(np.log(factor**2 * read / turned))),)
 
 
 def _axes() -> Iterator[FloatArray]:

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from daq import InputError, read_bytes
-from experiments.exchange.imported import ImportedFile, by_length
+from experiments.exchange.imported import ImportedFile, by_length, needs
 from experiments.exchange.tree import columns_of
 
 MOST_BYTES = 1 << 29
@@ -40,7 +40,7 @@ def read_hdf5(path: Path) -> ImportedFile:
     try:
         import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
     except ImportError:
-        raise InputError(str(path), "needs the package h5py", 'install it: pip install "legid[hdf5]"') from None
+        raise needs(path, "h5py", "hdf5") from None
     found: dict[str, Any] = {}
     outside: list[bytes] = []
 

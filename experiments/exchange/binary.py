@@ -11,7 +11,7 @@ import numpy as np
 
 from daq import FloatArray, InputError
 from experiments.exchange.archives import read_hdf5
-from experiments.exchange.imported import ImportedFile, Wrong, by_length
+from experiments.exchange.imported import ImportedFile, Wrong, by_length, needs
 from experiments.exchange.tree import columns_of
 
 OWN_FACTS = ("rate_hz", "clock_bound_s")
@@ -76,7 +76,7 @@ def read_parquet(path: Path) -> ImportedFile:
     try:
         from pyarrow import parquet, set_memory_pool, system_memory_pool, types
     except ImportError:
-        raise InputError(str(path), "needs the package pyarrow", 'install it: pip install "legid[parquet]"') from None
+        raise needs(path, "pyarrow", "parquet") from None
     set_memory_pool(system_memory_pool())  # another reserves more than the reader's bound before it reads
     table = parquet.read_table(str(path), use_threads=False)
     columns: dict[str, FloatArray] = {}

@@ -5,8 +5,9 @@ from __future__ import annotations
 from io import BytesIO
 from pathlib import Path
 
-from daq import Dataset, InputError, write_file
+from daq import Dataset, write_file
 from daq.runs import write_csv
+from experiments.exchange.imported import needs
 
 
 def export_run(data: Dataset, kind: str, path: Path | str) -> int:
@@ -25,8 +26,7 @@ def _parquet(data: Dataset) -> bytes:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
-        raise InputError("--to parquet", "needs the package pyarrow",
-                         'install it: pip install "legid[parquet]"') from None
+        raise needs("--to parquet", "pyarrow", "parquet") from None
     columns = {"time_s": data.time_s, **data.columns}
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     facts = {"legid.run": data.name, "legid.rate_hz": repr(data.rate_hz),

@@ -12,17 +12,19 @@ from msgspec import structs
 from scipy.optimize import linear_sum_assignment
 
 from daq import Column, Dataset, FloatArray
+from estimator.calibration import TRIED
 from estimator.model import Mechanism, chain
 from experiments.exchange.guess_physics import (
-    ANGLE_UNITS,
-    CLEAR,
     EXPLAINS,
     NOT_SURE,
     SIGNS,
     SMOOTHING_RADPS,
     Found,
     Sign,
+    Way,
+    close_call,
     inside,
+    ranked,
     scale_warnings,
     share_left,
     smooth,
@@ -37,12 +39,9 @@ HANGS_RAD = 0.1
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _Reading(Way):
     """The angles in one unit, relative or absolute, with signs of angles and torques."""
 
-    left: float
-    """Residual of the torques, as a share of their standard deviation."""
-    unit: str
     absolute: bool
     signs: tuple[Sign, ...]
     works: tuple[Sign, ...]
@@ -50,6 +49,10 @@ class _Reading:
     """(N, n) [rad]"""
     beta: FloatArray
     """(p,) by least squares"""
+
+    def __str__(self) -> str:
+        return (f"{self.unit or 'rad'}{', absolute' * self.absolute}, signs of angles "
+                f"{' '.join(f'{s:+d}' for s in self.signs)}, of torques {' '.join(f'{s:+d}' for s in self.works)}")
 
 
 def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
@@ -89,15 +92,15 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
     mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
 
-    ranked = sorted(_readings(mechanism, raw, columns, driven), key=lambda one: one.left)
-    first = ranked[0]
-    z = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
+    ways = ranked(_readings(mechanism, raw, columns, driven))
+    first = ways[0]
+    z = regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
     if driven:
         read = first.works[-1] * smooth(raw[f"tau{driven[-1] + 1}_nm"], raw.rate_hz)
         made = z @ first.beta
     else:
         read, made = z[:, 0], z[:, 0] - z @ first.beta
-    found = _found(ranked, columns, (read, made))
+    found = _found(ways, columns, (read, made))
     tilt = _hangs_at(mechanism, first.beta)
     if not found.unexplained and abs(tilt) > HANGS_RAD:
         found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: set offset = {-tilt:.2f} under "
@@ -105,11 +108,10 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     return found
 
 
-def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
-    """The map by the first of `ranked`, with reasons and warnings."""
-    first = ranked[0]
-    second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
-    sure = second.left >= CLEAR * first.left
+def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
+    """The map by the first of `ways`, with reasons and warnings."""
+    first = ways[0]
+    second = next((way for way in ways if way.left > first.left), ways[-1])
     angles, torques = ([name for name in sorted(columns) if name.startswith(kind)] for kind in ("q", "tau"))
     what = "the torques" if torques else "the accelerations"
     warnings = [text for name in torques for text in scale_warnings(name, columns[name])]
@@ -124,10 +126,9 @@ def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tup
         notes = {name: f"NOT KNOWN: no unit and signs explain {what}" for name in angles}
         notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
         return Found(dict(columns), notes, warnings, [why], check, left=first.left)
-    if not sure:
-        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of "
-                        f"{what}, {_told(second)} {100 * second.left:.0f} %; look at the plot")
-    prefix = "" if sure else NOT_SURE
+    close = close_call("unit and signs", what, first, second)
+    warnings += close
+    prefix = NOT_SURE * bool(close)
     found, notes = {}, {}
     for k, (column, sign) in enumerate(zip(angles, first.signs)):
         angle, less = columns[column], columns[angles[k - 1]].name if first.absolute and k else ""
@@ -139,11 +140,6 @@ def _found(ranked: Sequence[_Reading], columns: Mapping[str, Column], check: tup
         found[column] = structs.replace(columns[column], sign=sign)
         notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
     return Found(found, notes, warnings, [], check, left=first.left)
-
-
-def _told(one: _Reading) -> str:
-    return (f"{one.unit or 'rad'}{', absolute' if one.absolute else ''}, signs of angles "
-            f"{' '.join(f'{s:+d}' for s in one.signs)}, of torques {' '.join(f'{s:+d}' for s in one.works)}")
 
 
 def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
@@ -159,13 +155,13 @@ def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column],
     rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
     stated = [bool(columns[name].unit) for name in names]
     variants = [(False, (*SIGNS[:1], *signs)) for signs in product(SIGNS, repeat=n - 1)] + [(True, SIGNS[:1] * n)]
-    for (unit, scale), (absolute, signs) in product(ANGLE_UNITS.items(), variants):
+    for (unit, scale), (absolute, signs) in product(TRIED["rad"].items(), variants):
         if all(stated) and unit:
             continue
         q = angles * np.where(stated, 1.0, scale) * np.array(signs)
         if absolute:
             q = np.diff(q, axis=-1, prepend=0.0)
-        z = _regressor(mechanism, q, raw.rate_hz)[rows]
+        z = regressor(mechanism, q, raw.rate_hz)[rows]
         for works, left, beta in _fits(z, torque[rows], driven):
             inertia = mechanism.inertia_matrix(q[rows[:: max(1, rows.size // POSES)]], beta[: mechanism.p])
             possible = np.linalg.eigvalsh(inertia).min() > 0.0
@@ -194,7 +190,7 @@ def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
         yield works, float(np.sqrt(max(power - right @ beta, 0.0) / spread)), beta
 
 
-def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:
+def regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:
     """(N, n, p + links) of tau = Z beta + Z_g beta_g: the mechanism, then gravity with joint 1 a quarter turn ahead."""
     v = np.gradient(q, 1.0 / rate_hz, axis=0)
     z = mechanism.regressor(q, v, np.gradient(v, 1.0 / rate_hz, axis=0))

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec import structs
+from numpy.typing import NDArray
 
 from daq import Column, Dataset, FloatArray
+from estimator.calibration import TRIED
+from estimator.model import chain
+from experiments.exchange.guess_chain import regressor
 from experiments.exchange.guess_physics import (
-    ANGLE_UNITS,
     CLEAR,
     EXPLAINS,
     NOT_SURE,
     SMOOTHING_RADPS,
     Found,
     Sign,
+    Way,
     inside,
+    ranked,
     scale_warnings,
     share_left,
     smooth,
 )
 from experiments.exchange.units import factor
 
+ONE = chain(1, velocity_scale=SMOOTHING_RADPS)
 BLOCKS = 4
 """Parts of a record that must agree on the sign of the inertia."""
 
@@ -35,39 +42,30 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     `tau1_nm` in `columns` the joint swings freely: the other terms must explain the acceleration.
     """
     angle, torque = columns["q1_rad"], columns.get("tau1_nm")
-    use = inside(raw, list(columns))
+    use, what = inside(raw, list(columns)), "the acceleration" if torque is None else f"the torque {torque.name!r}"
     stated = factor(angle.unit, "q1_rad", angle.name)
-    rows = joint_regressors(raw, {unit: scale / stated for unit, scale in ANGLE_UNITS.items()})
-    if torque is not None:
-        push = smooth(raw["tau1_nm"], raw.rate_hz)
-        read = {unit: (z, push) for unit, z in rows.items()}
-    else:
-        read = {unit: (z[:, 1:], z[:, 0]) for unit, z in rows.items()}
-    left = {unit: left_of(z[use], push[use]) for unit, (z, push) in read.items()}
-    by_name = next((unit for unit, scale in ANGLE_UNITS.items() if np.isclose(scale, stated)), "")
-    best = min(left, key=left.__getitem__)
-    clear = best == by_name or CLEAR * left[best] < left[by_name]
-    unit = best if clear and left[best] <= EXPLAINS else by_name
-    rival = min((other for other in left if other != unit), key=left.__getitem__)
-    sure = left[rival] >= CLEAR * left[unit]
-    (z, push), shown = read[unit], unit or "rad"
-    what = "the acceleration" if torque is None else f"the torque {torque.name!r}"
+    scales = {unit: scale / stated for unit, scale in TRIED["rad"].items()}
+    by_name = next((unit for unit, scale in scales.items() if np.isclose(scale, 1.0)), "")
+    ways = readings(raw, use, scales, None if torque is None else smooth(raw["tau1_nm"], raw.rate_hz))
+    first, second, *_ = ranked(ways, by_name)
+    shown, sure = first.unit or "rad", second.left >= CLEAR * first.left
     warnings, unexplained = [], []
-    if left[unit] > EXPLAINS:
-        unexplained.append(f"no unit of {angle.name!r} explains {what} (the best leaves {100 * left[unit]:.0f} %): too "
+    if first.left > EXPLAINS:
+        unexplained.append(f"no unit of {angle.name!r} explains {what} (the best leaves {100 * first.left:.0f} %): too "
                            f"little motion, or {'a motor' if torque is None else 'the torque of another joint'}")
-    if angle.unit and unit != by_name:
-        warnings.append(f"the name of {angle.name!r} says {angle.unit}, but {shown} leaves {100 * left[unit]:.0f} % of "
-                        f"{what}, not {100 * left[by_name]:.0f} %: {shown} is taken")
+    if angle.unit and first.unit != by_name:
+        named = next(way.left for way in ways if way.unit == by_name)
+        warnings.append(f"the name of {angle.name!r} says {angle.unit}, but {shown} leaves {100 * first.left:.0f} % of "
+                        f"{what}, not {100 * named:.0f} %: {shown} is taken")
     if not angle.unit and not sure:
-        warnings.append(f"the unit of {angle.name!r} does not show (rad or {rival or 'rad'}): {shown} is taken; set it "
-                        "by hand if it is another")
-    found = {"q1_rad": structs.replace(angle, unit=angle.unit if unit == by_name else unit)}
+        warnings.append(f"the unit of {angle.name!r} does not show (rad or {second.unit or 'rad'}): {shown} is taken; "
+                        "set it by hand if it is another")
+    found = {"q1_rad": structs.replace(angle, unit=angle.unit if first.unit == by_name else first.unit)}
     notes = {}
     works: Sign = 1
     if torque is not None:
-        works = 1 if _inertia(z[use], push[use]) > 0 else -1
-        parts = zip(np.array_split(z[use], BLOCKS), np.array_split(push[use], BLOCKS))
+        works = 1 if _inertia(first.z[use], first.push[use]) > 0 else -1
+        parts = zip(*(np.array_split(x[use], BLOCKS) for x in (first.z, first.push)))
         if not unexplained and any(_inertia(*part) * works <= 0 for part in parts):
             unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of "
                                "the inertia; import a record with faster motion")
@@ -78,32 +76,40 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     prefix = "" if angle.unit or sure else NOT_SURE
     kind = "no torque: a joint that swings freely" if torque is None else "one torque: a single joint"
     notes["q1_rad"] = f"NOT KNOWN: it does not fit {what}" if unexplained else (
-        f"{prefix}one angle and {kind}; in {shown} its equation of motion leaves {100 * left[unit]:.1f} % of "
+        f"{prefix}one angle and {kind}; in {shown} its equation of motion leaves {100 * first.left:.1f} % of "
         + ("the acceleration" if torque is None else "the torque"))
-    return Found(found, notes, warnings, unexplained, (works * push, works * (z @ solve(z[use], push[use]))),
-                 left=left[unit])
+    return Found(found, notes, warnings, unexplained, (works * first.push, works * first.made), left=first.left)
 
 
-def joint_regressors(raw: Dataset, scales: Mapping[str, float]) -> dict[str, FloatArray]:
-    """Unit -> (n, 5) of inertia, viscous and Coulomb friction, and gravity along two axes; q1_rad times its scale."""
-    rows, step = {}, 1.0 / raw.rate_hz
+@dataclass(frozen=True)
+class Motion(Way):
+    """The equation of motion of a joint whose angle is in one unit."""
+
+    z: FloatArray
+    """(n, k)"""
+    push: FloatArray
+    """(n,) what z explains: the torque; without one, the acceleration."""
+    made: FloatArray
+    """(n,) as z makes it"""
+
+
+def readings(raw: Dataset, use: NDArray[np.bool_], scales: Mapping[str, float], push: FloatArray | None
+             ) -> list[Motion]:
+    """The equation of motion with q1_rad times each of `scales` (unit -> factor): `push` (n,), or without it the
+    acceleration, by inertia, viscous and Coulomb friction, and gravity along two axes."""
+    found = []
     for unit, scale in scales.items():
-        q = smooth(scale * raw["q1_rad"], raw.rate_hz)
-        rate = np.gradient(q, step)
-        rows[unit] = np.stack([np.gradient(rate, step), rate, np.tanh(rate / SMOOTHING_RADPS), np.sin(q), np.cos(q)],
-                              axis=-1)
-    return rows
+        z = regressor(ONE, smooth(scale * raw["q1_rad"], raw.rate_hz)[:, None], raw.rate_hz)[:, 0]
+        rows, wanted = (z[:, 1:], z[:, 0]) if push is None else (z, push)
+        made = rows @ _solved(rows[use], wanted[use])
+        found.append(Motion(share_left(wanted[use], made[use]), unit, rows, wanted, made))
+    return found
 
 
-def solve(z: FloatArray, tau: FloatArray) -> FloatArray:
+def _solved(z: FloatArray, tau: FloatArray) -> FloatArray:
     """(k,) by least squares."""
     return np.asarray(np.linalg.lstsq(z, tau, rcond=None)[0])
 
 
 def _inertia(z: FloatArray, tau: FloatArray) -> float:
-    return float(solve(z, tau)[0])
-
-
-def left_of(z: FloatArray, tau: FloatArray) -> float:
-    """The share of the torque that least squares leaves."""
-    return share_left(tau, z @ solve(z, tau))
+    return float(_solved(z, tau)[0])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import structs
@@ -12,19 +13,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from daq import Column, Dataset, FloatArray
+from estimator.calibration import TRIED
 from estimator.model import leg2
 from estimator.signals import lowpass
 from experiments.exchange.guess_names import says
-from experiments.exchange.units import DEGREE, TURN, factor, unit_in_name
+from experiments.exchange.units import factor, unit_in_name
 
 SLOW_HZ = 0.3
 """Below this the accelerometer gives the pivot's angle, above it the gyro's integral."""
 FAST_HZ = 8.0
 SMOOTHING_RADPS = 0.05
 """Velocity over which the sign of friction is smoothed."""
-ANGLE_UNITS = {"": 1.0, "deg": DEGREE, "turn": TURN, "mrad": 1e-3}
-RATE_UNITS = {"": 1.0, "deg/s": DEGREE, "turn/s": TURN, "rpm": TURN / 60.0, "mdps": 1e-3 * DEGREE}
-ACCEL_UNITS = {"": 1.0, "g": 9.80665, "mg": 9.80665e-3}
 Sign = Literal[1, -1]
 SIGNS: tuple[Sign, ...] = (1, -1)
 CLEAR = 1.5
@@ -63,16 +62,36 @@ class Found(NamedTuple):
     """The share of the torque that the knee's best unit and sign leaves."""
 
 
-class _Turning(NamedTuple):
-    """The gyro read in one unit and sign against one axis of the accelerometer, and what that leaves."""
+@dataclass(frozen=True)
+class Way:
+    """One way to read columns, and what it leaves."""
 
     left: float
+    """Residual as a share of what is to be explained."""
     unit: str
+    """Of the angle or the rate; empty for the contract's own."""
+
+
+W = TypeVar("W", bound=Way)
+
+
+@dataclass(frozen=True)
+class _Signed(Way):
     sign: Sign
+    made: FloatArray
+    """(n,) what is to be explained, as physics makes it."""
+
+    def __str__(self) -> str:
+        return f"{self.unit or 'rad'}, sign {self.sign:+d}"
+
+
+@dataclass(frozen=True)
+class _Turning(_Signed):
+    """The gyro read against one axis of the accelerometer."""
+
     side: str
     """The axis across the link."""
     read: FloatArray
-    made: FloatArray
     lever: float
     pose: Pose
 
@@ -83,40 +102,39 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     turning = max(gyro, key=lambda name: float(np.std(gyro[name])))
     along = max(accel, key=lambda name: abs(float(np.median(accel[name]))))
     length = float(np.median(np.sqrt(sum(values**2 for values in accel.values()))))
-    accel_unit = min(ACCEL_UNITS, key=lambda unit: abs(np.log(max(length, 1e-12) * ACCEL_UNITS[unit] / gravity)))
+    accel_unit, to_mps2 = min(TRIED["mps2"].items(), key=lambda one: abs(np.log(max(length, 1e-12) * one[1] / gravity)))
     out_sign = -int(np.sign(np.median(accel[along])))
     warnings, unexplained = [], []
-    heavy = abs(length * ACCEL_UNITS[accel_unit] / gravity - 1.0) <= 0.2
+    heavy = abs(length * to_mps2 / gravity - 1.0) <= 0.2
     if not heavy:
-        unexplained.append(f"the accelerometer's median length is {length:.4g}, not gravity in m/s2, g or mg: it may "
-                           "be in counts, or have gravity taken off")
+        unexplained.append(f"the accelerometer's median length is {length:.4g}, not gravity in m/s2, g, mg or mm/s2: "
+                           "it may be in counts, or have gravity taken off")
     said = unit_in_name(along, "accel_y_mps2")
     if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
         warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
-    a_y = out_sign * ACCEL_UNITS[accel_unit] * accel[along]
+    a_y = out_sign * to_mps2 * accel[along]
     best: list[_Turning] = []
-    for side, (unit, scale), sign in product([name for name in accel if name != along], RATE_UNITS.items(), SIGNS):
-        a_x = ACCEL_UNITS[accel_unit] * accel[side]
+    for side, (unit, scale), sign in product([name for name in accel if name != along], TRIED["radps"].items(), SIGNS):
+        a_x = to_mps2 * accel[side]
         made, lever, pose = _tangential(a_x, a_y, sign * scale * gyro[turning], rate_hz, gravity)
         read = _band(a_x, rate_hz)
         # the axis across the plane of motion is explained by nothing, and by nothing well: only a live axis counts
         live = float(np.std(accel[side])) / max(float(np.std(np.stack(list(accel.values())), axis=1).max()), 1e-30)
-        best.append(_Turning(share_left(read, made) / max(live, 1e-6), unit, sign, side, read, made, lever, pose))
-    first, second = sorted(best, key=lambda one: one.left)[:2]
-    unit, said = first.unit or "rad/s", unit_in_name(turning, "gyro_radps")
+        left = share_left(read, made) / max(live, 1e-6)
+        best.append(_Turning(left, unit or "rad/s", sign, made, side, read, lever, pose))
+    first, second, *_ = ranked(best)
+    unit, said = first.unit, unit_in_name(turning, "gyro_radps")
     fits = f"in {unit}, sign {first.sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
-    known, unsure = first.left <= EXPLAINS and heavy, second.left < CLEAR * first.left
+    known, close = first.left <= EXPLAINS and heavy, close_call("the gyro's unit and sign", "accel_x", first, second)
     if first.left > EXPLAINS:
         unexplained.append(f"no unit and sign of {turning!r} explains the accelerometer (the best leaves "
                            f"{100 * first.left:.0f} % of {first.side!r}): another axis or sensor, an IMU that is "
                            "turned against the link, or a time in another unit")
-    elif unsure:
-        warnings.append(f"the gyro's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
-                        f"{100 * first.left:.0f} % of accel_x, {second.unit or 'rad/s'}, sign {second.sign:+d}, "
-                        f"{100 * second.left:.0f} %")
+    else:
+        warnings += close
     if known and said and not _same(said, first.unit, "gyro_radps"):
         warnings.append(f"the name of {turning!r} says {said}, but {fits}: {unit} is taken")
-    columns = {"gyro_radps": Column(name=turning, unit=first.unit, sign=first.sign),
+    columns = {"gyro_radps": Column(name=turning, unit=unit.removeprefix("rad/s"), sign=first.sign),
                "accel_x_mps2": Column(name=first.side, unit=accel_unit),
                "accel_y_mps2": Column(name=along, unit=accel_unit, sign=1 if out_sign > 0 else -1)}
     notes = {"gyro_radps": "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer",
@@ -125,11 +143,30 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     if heavy:
         notes["accel_y_mps2"] = f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
     if known:
-        notes["gyro_radps"] = (f"{NOT_SURE if unsure else ''}the axis that turns most; {fits} (next best: "
+        notes["gyro_radps"] = (f"{NOT_SURE * bool(close)}the axis that turns most; {fits} (next best: "
                                f"{100 * second.left:.0f} %)")
         notes["accel_x_mps2"] = ("across the link, in the plane of motion; the IMU's lever arm would be "
                                  f"{first.lever:.3f} m")
     return Found(columns, notes, warnings, unexplained, (first.read, first.made), first.pose)
+
+
+def ranked(ways: Iterable[W], stated: str | None = None) -> list[W]:
+    """`ways`, what leaves least first; in front of it those in a unit that is stated, unless another unit explains, and
+    far better."""
+    out = sorted(ways, key=lambda way: way.left)
+    named = [way for way in out if way.unit == stated]
+    if not named or out[0].unit == stated or (
+            out[0].left <= EXPLAINS and CLEAR * out[0].left < named[0].left):
+        return out
+    return named + [way for way in out if way.unit != stated]
+
+
+def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
+    """A warning where the runner-up leaves little more than the first of `what`; else none."""
+    if second.left >= CLEAR * first.left:
+        return []
+    return [f"{whose} are a close call: {first}, leaves {100 * first.left:.0f} % of {what}, {second}, "
+            f"{100 * second.left:.0f} %; look at the plot"]
 
 
 def share_left(wanted: FloatArray, made: FloatArray) -> float:
@@ -162,8 +199,11 @@ def smooth(x: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
-    """(n,) True where no column of `names` has a gap, without a second at each end of a long record."""
-    use = ~run.gap(names)
+    """(n,) True away from gaps of `names` that are no straight lines, without a second at each end of a long record."""
+    def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
+        return binary_dilation(where, np.ones(2 * round(seconds * run.rate_hz) + 1, bool))
+
+    use = ~reached(~reached(~run.gap(names), 0.5 * BRIDGED_S), 0.5 * BRIDGED_S + RING_S)
     edge = int(run.rate_hz) if len(run) > 6 * run.rate_hz else 0
     use[:edge] = use[len(use) - edge :] = False
     return use
@@ -185,15 +225,12 @@ def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: fl
     return lever * swing + sine, lever, Pose(q1, omega)
 
 
-class _Knee(NamedTuple):
+@dataclass(frozen=True)
+class _Knee(_Signed):
     """Angles in one unit and sign, and what the equation of motion leaves of the torque."""
 
-    left: float
-    unit: str
     hip_unit: str
-    sign: Sign
     works: Sign
-    made: FloatArray
 
 
 def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gravity: float) -> Found:
@@ -207,28 +244,22 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     what = f"the torque {torque.name!r}" if torque else f"the error of the command {columns['q2_cmd_rad'].name!r}"
     short = "the torque" if torque else "the command's error"
     push = filled(raw["tau2_nm"])
-    ranked = _knees(raw, columns, pose, push, gravity)
-    by_name = [one for one in ranked if one.unit == knee.unit]
+    ways = _knees(raw, columns, pose, push, gravity)
+    first, second, *_ = ranked(ways, knee.unit or None)
+    unit = first.unit or "rad"
     warnings, unexplained = [], []
-    first = ranked[0]
     if knee.unit and first.unit != knee.unit:
-        if first.left <= EXPLAINS and CLEAR * first.left < by_name[0].left:
-            warnings.append(f"the name of {knee.name!r} says {knee.unit}, but in {first.unit or 'rad'} the equation of "
-                            f"motion leaves {100 * first.left:.0f} % of {short}, not {100 * by_name[0].left:.0f} %: "
-                            f"{first.unit or 'rad'} is taken")
-        else:
-            ranked, first = by_name, by_name[0]
-    second, unit = ranked[1], first.unit or "rad"
-    known, unsure = first.left <= EXPLAINS, second.left < CLEAR * first.left
+        named = min(way.left for way in ways if way.unit == knee.unit)
+        warnings.append(f"the name of {knee.name!r} says {knee.unit}, but in {unit} the equation of motion leaves "
+                        f"{100 * first.left:.0f} % of {short}, not {100 * named:.0f} %: {unit} is taken")
+    known, close = first.left <= EXPLAINS, close_call("the knee's unit and sign", short, first, second)
     if not known:
         unexplained.append(
             f"no unit and sign of {knee.name!r} explains {what} (the best leaves "
             f"{100 * first.left:.0f} %): too little motion, the motor's angle (scale = 1 / gear ratio), an absolute "
             "angle, another joint's, or late" + ("" if pose is None else ", or the IMU turned against the link"))
-    elif unsure:
-        warnings.append(f"the knee's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
-                        f"{100 * first.left:.0f} % of {short}, {second.unit or 'rad'}, sign {second.sign:+d}, "
-                        f"{100 * second.left:.0f} %; look at the plot")
+    else:
+        warnings += close
     out = {"q2_rad": structs.replace(knee, unit=first.unit, sign=first.sign)}
     out |= {name: structs.replace(columns[name], sign=first.works) for name in ("tau2_nm", "tau2_cmd_nm")
             if name in columns}
@@ -243,7 +274,7 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     notes = {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
-        prefix = NOT_SURE if unsure or first.left > EXPLAINS else ""
+        prefix = NOT_SURE if close or first.left > EXPLAINS else ""
         notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
                            f"{100 * first.left:.1f} % of {short} (next best: {100 * second.left:.0f} %)",
                  "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"}
@@ -259,7 +290,7 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
 
 def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push: FloatArray, gravity: float
            ) -> list[_Knee]:
-    """What every unit and sign leaves, the least first. A pivot's encoder without a unit of its own has the knee's."""
+    """What every unit and sign leaves. A pivot's encoder without a unit of its own has the knee's."""
     knee, hip = columns["q2_rad"], columns.get("q1_rad", Column(name=""))
     angles = _in_units(knee, raw["q2_rad"])
     if pose is not None:
@@ -270,39 +301,30 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
                  if not hip.unit or unit == hip.unit}
     measured = [name for name in ("q1_rad", "q2_rad", "tau2_nm") if name in raw]
     follows = "tau2_nm" not in columns
-    counts = ~_near_gaps(raw.gap(measured if pose is None else measured[-2:]), raw.rate_hz)
+    use = inside(raw, measured if pose is None else measured[-2:])
     out = []
     for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), SIGNS):
         if pose is None and not (hip.unit or knee.unit) and unit != hip_unit:
             continue
-        left, beta, made = _equation(link, sign * angle, push, counts, raw.rate_hz, gravity)
+        left, beta, made = _equation(link, sign * angle, push, use, raw.rate_hz, gravity)
         works: Sign = 1 if beta[0] > 0 else -1
         against = follows and works != sign  # a drive pushes the angle towards its command
-        out.append(_Knee(max(left, 1.0) if against else left, unit, hip_unit, sign, works, made))
-    return sorted(out, key=lambda one: one.left)
+        out.append(_Knee(max(left, 1.0) if against else left, unit, sign, made, hip_unit, works))
+    return out
 
 
 def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
     """An angle (n,) in rad under every unit that it may have; `values` are read by that of its name."""
     stated = factor(column.unit, "q2_rad", column.name)
-    others = {unit: scale / stated for unit, scale in ANGLE_UNITS.items() if not np.isclose(scale, stated)}
+    others = {unit: scale / stated for unit, scale in TRIED["rad"].items() if not np.isclose(scale, stated)}
     return {unit: scale * filled(values) for unit, scale in ({column.unit: 1.0} | others).items()}
 
 
-def _near_gaps(gap: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
-    """(n,) True in and next to gaps that are too long to interpolate linearly."""
-    def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
-        return binary_dilation(where, np.ones(2 * round(seconds * rate_hz) + 1, bool))
-
-    inner = ~reached(~gap, 0.5 * BRIDGED_S)
-    return reached(inner, 0.5 * BRIDGED_S + RING_S)
-
-
-def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.bool_], rate_hz: float, gravity: float
+def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, use: NDArray[np.bool_], rate_hz: float, gravity: float
               ) -> tuple[float, FloatArray, FloatArray]:
     """What tau = Z beta with least squares leaves of the torque, as a share; beta (9,); the torque that it makes (n,).
 
-    Only samples of `counts` (n,) do.
+    Only samples of `use` (n,) do.
 
     A beta without positive inertias is no leg's: its residual counts as the whole torque.
     """
@@ -310,9 +332,6 @@ def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.
     q = smooth(np.stack([hip.q1, q2], axis=-1), rate_hz)
     rate = smooth(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), rate_hz)
     z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
-    use = counts.copy()
-    if len(q) > 6 * rate_hz:
-        use[:int(rate_hz)] = use[-int(rate_hz):] = False
     tau = smooth(torque, rate_hz)
     rows = np.concatenate([z[use, 0], z[use, 1]])
     wanted = np.concatenate([np.zeros(int(use.sum())), tau[use]])

@@ -16,9 +16,10 @@ import numpy as np
 from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
-from experiments.exchange.guess_joint import joint_regressors, left_of, solve
+from estimator.calibration import TRIED
+from experiments.exchange.guess_joint import readings
 from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of, says
-from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, NOT_SURE, Found, filled, inside, smooth
+from experiments.exchange.guess_physics import CLEAR, EXPLAINS, NOT_SURE, Found, filled, inside, ranked, smooth
 from experiments.exchange.imported import ImportedFile
 
 A_COMMAND = r"goal|target|cmd|command|set_?point|desired|(?<![a-z])action|joint_trajectory"
@@ -85,7 +86,7 @@ def _in_units(angle: Column, command: Column, slope: float) -> tuple[Column, Col
 
 def _unit_near(factor_rad: float) -> str:
     """The unit of an angle that is about so many rad; empty for none."""
-    near = [unit or "rad" for unit, scale in ANGLE_UNITS.items() if 1.0 / ALIKE < factor_rad / scale < ALIKE]
+    near = [unit or "rad" for unit, scale in TRIED["rad"].items() if 1.0 / ALIKE < factor_rad / scale < ALIKE]
     return near[0] if near else ""
 
 
@@ -117,27 +118,21 @@ def find_servo_joint(raw: Dataset, one: Command) -> Found:
     """
     use = inside(raw, ["q1_rad", "q1_cmd_rad"])
     error = smooth(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), raw.rate_hz)
-    rows = joint_regressors(raw, {"": 1.0} if one.angle.unit else ANGLE_UNITS)
-    left = {unit: left_of(z[use], error[use]) for unit, z in rows.items()}
-    best = min(left, key=left.__getitem__)
-    unit = best if left[best] <= EXPLAINS and CLEAR * left[best] < left[""] else ""
-    if not one.angle.unit and not unit and np.ptp(raw["q1_rad"][use]) > TURNS:
-        unit = "deg"
-    z = rows[unit]
-    warnings, shown = [], one.angle.unit or unit or "rad"
-    clear = bool(one.angle.unit) or sorted(left.values())[1] >= CLEAR * left[unit]
+    stated = "deg" if np.ptp(raw["q1_rad"][use]) > TURNS else ""
+    ways = ranked(readings(raw, use, {"": 1.0} if one.angle.unit else TRIED["rad"], error), stated)
+    first, clear = ways[0], bool(one.angle.unit) or ways[1].left >= CLEAR * ways[0].left
+    warnings, shown = [], one.angle.unit or first.unit or "rad"
     if not clear:
         warnings.append(f"the unit of {one.angle.name!r} does not show: {shown} is taken; set it by hand if it is "
                         "another")
-    if left[unit] > EXPLAINS:
-        warnings.append(f"the motion explains {100 * max(1.0 - left[unit], 0.0):.0f} % of the command's error: "
+    if first.left > EXPLAINS:
+        warnings.append(f"the motion explains {100 * max(1.0 - first.left, 0.0):.0f} % of the command's error: "
                         "the loop has a delay, an integral or a limit, or other joints move this one")
-    found = {"q1_rad": structs.replace(one.angle, unit=one.angle.unit or unit),
-             "q1_cmd_rad": structs.replace(one.command, unit=one.command.unit or unit)}
+    found = {"q1_rad": structs.replace(one.angle, unit=one.angle.unit or first.unit),
+             "q1_cmd_rad": structs.replace(one.command, unit=one.command.unit or first.unit)}
     prefix = "" if clear else NOT_SURE
     notes = {"q1_rad": f"{prefix}one angle that follows a command, in {shown}", "q1_cmd_rad": followed(one)}
-    made = z @ solve(z[use], error[use])
-    return Found(found, notes, warnings, [], (error, made), left=left[unit])
+    return Found(found, notes, warnings, [], (error, first.made), left=first.left)
 
 
 def followed(one: Command) -> str:

@@ -71,3 +71,8 @@ def by_length(columns: Mapping[str, FloatArray]) -> tuple[Table, ...]:
     """Columns (n,) grouped into tables, the longest first."""
     lengths = sorted({values.size for values in columns.values()}, reverse=True)
     return tuple(Table({name: values for name, values in columns.items() if values.size == n}) for n in lengths)
+
+
+def needs(where: object, package: str, extra: str) -> InputError:
+    """The error for a kind of file whose `package` is not installed."""
+    return InputError(str(where), f"needs the package {package}", f'install it: pip install "legid[{extra}]"')

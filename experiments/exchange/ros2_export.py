@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from daq import Dataset, FloatArray, InputError, Rig, load_rig, write_file
+from daq import Dataset, FloatArray, Rig, load_rig, write_file
 from daq.runs import IMU, read_run
 from daq.timing import TimedColumns, decode, recorded_rig
+from experiments.exchange.imported import needs
 from experiments.exchange.reading import is_native, load_to_convert
 
 LIBRARY = "ros2 messages by legid"
@@ -44,7 +45,7 @@ def export_ros2(path: Path | str, rig_path: Path | str | None, out: Path | str) 
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise InputError("--to ros2", "needs the package rosbags", 'install it: pip install "legid[ros]"') from None
+        raise needs("--to ros2", "rosbags", "ros") from None
     channels, start_ns, bound_s, notes = _samples(path, rig_path)
     store = get_typestore(Stores.ROS2_JAZZY)
     topics = _messages(channels, start_ns, store)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq import FloatArray, InputError
-from experiments.exchange.imported import ImportedFile, Table
+from experiments.exchange.imported import ImportedFile, Table, needs
 
 PARALLEL = {"position": "position", "velocity": "velocity", "effort": "effort",
             "positions": "position", "velocities": "velocity", "accelerations": "acceleration"}
@@ -38,7 +38,7 @@ def read_bag(path: Path) -> ImportedFile:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise InputError(str(path), "needs the package rosbags", 'install it: pip install "legid[ros]"') from None
+        raise needs(path, "rosbags", "ros") from None
     rows: dict[str, list[dict[str, float]]] = defaultdict(list)
     planned: dict[str, list[_Point]] = defaultdict(list)
     times: dict[str, list[int]] = defaultdict(list)

@@ -1,21 +1,19 @@
-"""Units that other programs write, as factors to the contract's."""
+"""Units that other programs write, as factors to the contract's: those that are tried, and how else they are spelt."""
 
 from __future__ import annotations
 
 import difflib
-import math
 import re
 
 from daq import InputError
+from estimator.calibration import DEGREE, TRIED, TURN, G
 
-DEGREE, TURN, G = math.pi / 180.0, 2.0 * math.pi, 9.80665
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "degrees": DEGREE, "°": DEGREE, "turn": TURN, "turns": TURN,
-            "rev": TURN},
-    "radps": {"rad/s": 1.0, "radps": 1.0, "deg/s": DEGREE, "°/s": DEGREE, "dps": DEGREE, "mdps": 1e-3 * DEGREE,
-              "turn/s": TURN, "turns/s": TURN, "rev/s": TURN, "hz": TURN, "rpm": TURN / 60.0},
-    "mps2": {"m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0, "mps2": 1.0, "g": G, "mg": 1e-3 * G},
+    "rad": {"rad": 1.0, **TRIED["rad"], "degrees": DEGREE, "°": DEGREE, "turns": TURN, "rev": TURN},
+    "radps": {"rad/s": 1.0, **TRIED["radps"], "radps": 1.0, "°/s": DEGREE, "dps": DEGREE, "turns/s": TURN,
+              "rev/s": TURN, "hz": TURN},
+    "mps2": {"m/s2": 1.0, **TRIED["mps2"], "m/s^2": 1.0, "m/s²": 1.0, "mps2": 1.0},
     "nm": {"n m": 1.0, "nm": 1.0, "n*m": 1.0, "mn m": 1e-3, "mnm": 1e-3, "n cm": 1e-2, "ncm": 1e-2, "kg cm": 1e-2 * G,
            "a": 1.0, "ma": 1e-3, "lsb": 1.0, "counts": 1.0},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},

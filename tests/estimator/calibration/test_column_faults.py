@@ -106,9 +106,9 @@ def test_a_torque_of_the_wrong_scale_is_not_guessed_at(leg_and_run: tuple[Leg, D
     (scaled(1e3, "gyro_radps"), ["gyro_radps looks in mrad/s"]),
     (scaled(1.0 / DEGREES, "gyro_radps"), ["gyro_radps looks converted from degrees twice"]),
     (scaled(-DEGREES, "gyro_radps"), ["gyro_radps looks negated and in degrees a second"]),
-    (scaled(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), ["accel_x_mps2 looks in g", "accel_y_mps2 looks in g"]),
+    (scaled(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), ["accel_x_mps2 and accel_y_mps2 look in g"]),
     (scaled(1 / 9.80665, "accel_x_mps2"), ["accel_x_mps2 looks in g:"]),
-    (scaled(1e3, "accel_x_mps2", "accel_y_mps2"), ["accel_x_mps2 looks in mm/s2"]),
+    (scaled(1e3, "accel_x_mps2", "accel_y_mps2"), ["accel_x_mps2 and accel_y_mps2 look in mm/s2", 'unit = "mm/s2"']),
 ])
 def test_the_imu_contradicts_itself(by: Spoil, named: list[str], leg_and_run: tuple[Leg, Dataset]) -> None:
     """Up to its mirror image, which the knee's equation tells apart."""
