@@ -28,8 +28,8 @@ def quoted(text: str) -> str:
 
 
 def _escaped(char: str) -> str:
-    if char.isprintable() and char not in '"\\':
-        return char
+    if char.isprintable():
+        return f"\\{char}" if char in '"\\' else char
     return "?" if 0xD800 <= ord(char) < 0xE000 else f"\\U{ord(char):08x}"  # half of a character is none
 
 

@@ -334,11 +334,11 @@ def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray
         swapped = eye.copy()
         swapped[[j, k]] = swapped[[k, j]]
         both = j in mechanism.actuated and k in mechanism.actuated
-        for which, what, changes in (({"angles": swapped}, f"{q[j]} and {q[k]}", 2),
+        for kinds, what, changes in (({"angles": swapped}, f"{q[j]} and {q[k]}", 2),
                                      ({"torques": swapped}, f"{tau[j]} and {tau[k]}", 2),
                                      ({"angles": swapped, "torques": swapped}, f"joints {j + 1} and {k + 1}", 3)):
-            if (both or "torques" not in which) and (j in angles or "angles" not in which):
-                yield replace(nothing, **which, what=f"{what} look interchanged", changes=changes,
+            if (both or "torques" not in kinds) and (j in angles or "angles" not in kinds):
+                yield replace(nothing, **kinds, what=f"{what} look interchanged", changes=changes,
                               write="give each column the other's name under [columns]")
     if turns and not imu:
         if mechanism.gravity_mps2 > 0.0:

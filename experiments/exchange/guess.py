@@ -45,14 +45,14 @@ from experiments.exchange.guess_names import (
     usable,
 )
 from experiments.exchange.guess_physics import Found
-from experiments.exchange.guess_result import Guess
-from experiments.exchange.guess_rivals import without_copies
+from experiments.exchange.guess_result import Guess, GuessedMap
+from experiments.exchange.guess_rivals import unwrapped, without_copies
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.joint_choice import chosen_joints, first_run
 from experiments.exchange.layouts import layout_warnings, stated
 from experiments.exchange.units import unit_in_name
 
-MAYBE_TORQUE = r"^[^a-z]*(u|input|control)[^a-z]*$"
+MAYBE_TORQUE = r"^[^a-z]*(u|v|input|control)[^a-z]*$|volt|pwm"
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
 
@@ -71,21 +71,22 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
     one, cell = first_run(imported)
     one = chosen_joints(one, joints) if joints else one
     one, copies = (one, []) if has(one, "gyro", "accel") else without_copies(one)
+    one = unwrapped(one)
     guess = _guess_one(one, gravity_mps2)
     columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
                for name, column in guess.columns.items()}
-    return replace(guess, columns=columns,
-                   warnings=[*copies, *guess.warnings, *layout_warnings(one, guess.columns)])
+    return Guess(columns, guess.notes, [*copies, *guess.warnings, *layout_warnings(one, guess.columns)],
+                 guess.unexplained, guess.curves, run=apply_map(one, guess.columns))
 
 
-def _guess_one(imported: ImportedFile, gravity_mps2: float) -> Guess:
+def _guess_one(imported: ImportedFile, gravity_mps2: float) -> GuessedMap:
     """The guess for a file with one run."""
     following, apart = guess_following(imported, gravity_mps2)
     found = following or with_commands(_guess_measured(imported, gravity_mps2), imported)
     return with_loads(with_rates(replace(found, warnings=[*found.warnings, *apart]), imported), imported)
 
 
-def _guess_measured(imported: ImportedFile, gravity_mps2: float) -> Guess:
+def _guess_measured(imported: ImportedFile, gravity_mps2: float) -> GuessedMap:
     """The guess from measured angles, torques and IMU."""
     columns, notes, rivals = _by_name(imported)
     if _is_joint(imported):
@@ -156,35 +157,35 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
 
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
-                 ) -> Guess:
+                 ) -> GuessedMap:
     """The guess for a chain of joints, each with an encoder."""
     angles = _angles(imported)
     driven = of_joints(angles, measured_columns(imported, "tau"))
-    theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
+    theirs = {f"q{k}_rad": stated(imported, name, "q2_rad") for k, name in enumerate(angles, 1)}
     theirs |= {f"tau{j + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm")) for j, name in driven.items()}
     raw = apply_map(imported, only_time(columns) | theirs)
     wrenches = [] if driven else _wrenches(imported)
     if wrenches:
         unknown = dict.fromkeys(theirs, "NOT KNOWN: no column is known to be its torque")
-        return Guess(theirs | only_time(columns), unknown, [], wrenches, raw)
+        return GuessedMap(theirs | only_time(columns), unknown, [], wrenches)
     found = find_chain(raw, theirs, gravity_mps2)
-    return _guess_of(imported, columns, notes, found, [] if driven else _maybe_torques(imported))
+    return _guess_of(columns, notes, found, [] if driven else _maybe_torques(imported))
 
 
-def _guess_of(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], found: Found,
-              more: Sequence[str] = ()) -> Guess:
+def _guess_of(columns: dict[str, Column], notes: dict[str, str], found: Found, more: Sequence[str]) -> GuessedMap:
     """The guess by what physics found, with the time of `columns` and `more` warnings."""
     theirs = found.columns | only_time(columns)
     last = max((name for name in theirs if name.startswith("tau")), default="")
     what = f"{last}: measured, and computed from the motion [N m]" if last else \
         "acceleration: measured, and computed from gravity and friction [rad/s²]"
-    return Guess(theirs, only_time(notes) | found.notes, [*found.warnings, *more], found.unexplained,
-                 apply_map(imported, theirs), {what: found.check})
+    return GuessedMap(theirs, only_time(notes) | found.notes, [*found.warnings, *more], found.unexplained,
+                      {what: found.check})
 
 
 def _maybe_torques(imported: ImportedFile) -> list[str]:
-    """A warning for each column that may be a torque, though its name does not say which."""
-    return [f"{name!r} may be a torque: name the joint that it drives by [columns.tau1_nm] or [columns.tau2_nm]"
+    """A warning for each column that may drive a joint, though its name does not say which."""
+    return [f"{name!r} may drive a joint, as its torque or its motor's voltage: call it [columns.tau1_nm] or "
+            "[columns.tau2_nm], with scale in N m a unit, gear included"
             for name in imported.names if says(name, MAYBE_TORQUE) and changes(imported.values(name))]
 
 
@@ -198,11 +199,12 @@ def _wrenches(imported: ImportedFile) -> list[str]:
             "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
 
 
-def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
+def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> GuessedMap:
     """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
     theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"]}
     theirs |= {"tau1_nm": columns["tau2_nm"]} if "tau2_nm" in columns else {}
-    return _guess_of(imported, columns, notes, find_joint(apply_map(imported, theirs | only_time(columns)), theirs))
+    found = find_joint(apply_map(imported, theirs | only_time(columns)), theirs)
+    return _guess_of(columns, notes, found, [] if "tau1_nm" in theirs else _maybe_torques(imported))
 
 
 def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str], list[Column]]:
@@ -216,7 +218,7 @@ def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str],
             theirs, *others = found
             columns[name] = stated(imported, theirs, name)
             unit = columns[name].unit
-            notes[name] = "by its name" + (f", which says {unit}" if unit else "")
+            notes[name] = "by its name" + (f", in {unit}" if unit else "")
             if name == "q2_rad":
                 rivals = [stated(imported, other, name) for other in others[:MOST_RIVALS]]
             elif others:

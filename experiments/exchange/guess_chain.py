@@ -51,8 +51,9 @@ class _Reading(Way):
     """(p,) by least squares"""
 
     def __str__(self) -> str:
-        return (f"{self.unit or 'rad'}{', absolute' * self.absolute}, signs of angles "
-                f"{' '.join(f'{s:+d}' for s in self.signs)}, of torques {' '.join(f'{s:+d}' for s in self.works)}")
+        signs = [f"of {what} {' '.join(f'{s:+d}' for s in some)}"
+                 for what, some in (("angles", self.signs), ("torques", self.works)) if some]
+        return f"{self.unit or 'rad'}{', absolute' * self.absolute}, signs {', '.join(signs)}"
 
 
 def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
@@ -92,7 +93,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
     mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
 
-    ways = ranked(_readings(mechanism, raw, columns, driven))
+    ways = ranked(_readings(mechanism, raw, columns, driven), "")
     first = ways[0]
     z = regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
     if driven:
@@ -111,7 +112,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
 def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
     """The map by the first of `ways`, with reasons and warnings."""
     first = ways[0]
-    second = next((way for way in ways if way.left > first.left), ways[-1])
+    second = min((way for way in ways if way.left != first.left), key=lambda way: way.left, default=first)
     angles, torques = ([name for name in sorted(columns) if name.startswith(kind)] for kind in ("q", "tau"))
     what = "the torques" if torques else "the accelerations"
     warnings = [text for name in torques for text in scale_warnings(name, columns[name])]

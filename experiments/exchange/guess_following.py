@@ -16,7 +16,7 @@ from experiments.exchange.guess_chain import of_joints
 from experiments.exchange.guess_leg import guess_leg
 from experiments.exchange.guess_names import clock_of, fitting, has, measured_columns
 from experiments.exchange.guess_physics import NOT_SURE
-from experiments.exchange.guess_result import Guess
+from experiments.exchange.guess_result import GuessedMap
 from experiments.exchange.guess_servo import (
     Command,
     commands_of,
@@ -42,7 +42,7 @@ MOST_PRESENT = 0.9
 VOLTS = 'duty and volts: legid init --from RUN.csv writes input = "voltage"; parameters are then in volt units'
 
 
-def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess | None, list[str]]:
+def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[GuessedMap | None, list[str]]:
     """The guess for joints that follow commands and have no torque, or a current in counts alone; None for others.
 
     With it a sentence for each command that nothing follows.
@@ -77,7 +77,7 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guess 
     return _following_chain(imported, clock, reasons, order, read), apart
 
 
-def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
+def with_rates(guess: GuessedMap, imported: ImportedFile) -> GuessedMap:
     """`guess` with the commanded rates of its commands, where these are their derivatives, and with feedforwards."""
     commands = [(name, column) for name, column in guess.columns.items() if name.endswith("_cmd_rad")]
     named = [column.name for _, column in commands]
@@ -96,21 +96,19 @@ def with_rates(guess: Guess, imported: ImportedFile) -> Guess:
         wanted = name.replace("q", "tau", 1).replace("cmd_rad", "ff_nm")
         columns[wanted] = Column(name=torque, unit=unit_in_name(torque, wanted), sign=command.sign)
         notes[wanted] = "by its name, a feedforward"
-    return _with(guess, imported, columns, notes)
+    return _with(guess, columns, notes)
 
 
-def with_loads(guess: Guess, imported: ImportedFile) -> Guess:
+def with_loads(guess: GuessedMap, imported: ImportedFile) -> GuessedMap:
     """`guess` with the loads of its joints in a unit that the file does not state."""
     angles = {name: column for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)}
     loads = loads_of(imported, angles)
-    return _with(guess, imported, loads, dict.fromkeys(loads, "by its name; its unit is not in the file"))
+    return _with(guess, loads, dict.fromkeys(loads, "by its name; its unit is not in the file"))
 
 
-def _with(guess: Guess, imported: ImportedFile, more: Mapping[str, Column], notes: Mapping[str, str]) -> Guess:
+def _with(guess: GuessedMap, more: Mapping[str, Column], notes: Mapping[str, str]) -> GuessedMap:
     """`guess` with more columns."""
-    columns = {**guess.columns, **more}
-    return replace(guess, columns=columns, notes={**guess.notes, **notes}, run=apply_map(imported, columns)
-                   ) if more else guess
+    return replace(guess, columns={**guess.columns, **more}, notes={**guess.notes, **notes})
 
 
 def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapping[int, str],
@@ -123,7 +121,7 @@ def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapp
             for j in joints}
 
 
-def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command) -> Guess:
+def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command) -> GuessedMap:
     """The guess for a single joint that follows a command; with its duty and volts where the file has both."""
     theirs = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
     joint = find_servo_joint(apply_map(imported, clock | theirs), one)
@@ -134,11 +132,11 @@ def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: 
     if ENABLED in driven:
         notes[ENABLED] = "by its name; a motor that is off is open, and has no voltage"
     curves = {"q1_cmd_rad - q1_rad: measured, and computed from the motion [rad]": joint.check}
-    return Guess(columns, notes, warnings, [], apply_map(imported, columns), curves)
+    return GuessedMap(columns, notes, warnings, [], curves)
 
 
 def _following_chain(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str],
-                     order: Mapping[int, str], read: Mapping[int, Command]) -> Guess:
+                     order: Mapping[int, str], read: Mapping[int, Command]) -> GuessedMap:
     """The guess for several joints that follow commands: units by names, the rest as the file has it."""
     columns: dict[str, Column] = {}
     notes = dict(reasons)
@@ -152,11 +150,11 @@ def _following_chain(imported: ImportedFile, clock: dict[str, Column], reasons: 
     told = [f"joints {', '.join(map(repr, order.values()))} are taken for a chain in one plane: check that each angle "
             "counts against the link before, in one sense, and the first from hanging",
             servo_hint([j for j in order if f"q{j}_cmd_rad" in columns])]
-    return Guess(columns | clock, notes, told, [], apply_map(imported, columns | clock))
+    return GuessedMap(columns | clock, notes, told, [])
 
 
 def _following_leg(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], order: Mapping[int, str],
-                   one: Command, gravity_mps2: float) -> Guess:
+                   one: Command, gravity_mps2: float) -> GuessedMap:
     """The guess for a leg whose knee follows a command: the command's error stands for the torque."""
     hip = {"q1_rad": stated(imported, order[1], "q1_rad")} if 1 in order else {}
     columns = hip | {"q2_rad": one.angle, "q2_cmd_rad": one.command} | clock
@@ -165,7 +163,7 @@ def _following_leg(imported: ImportedFile, clock: dict[str, Column], reasons: di
     return replace(found, notes=notes, warnings=[*found.warnings, servo_hint([2])])
 
 
-def with_commands(guess: Guess, imported: ImportedFile) -> Guess:
+def with_commands(guess: GuessedMap, imported: ImportedFile) -> GuessedMap:
     """`guess` with the commands of its angles, where these follow them."""
     angles = [(name, column) for name, column in guess.columns.items() if re.fullmatch(r"q\d+_rad", name)
               and not column.minus]
@@ -181,4 +179,4 @@ def with_commands(guess: Guess, imported: ImportedFile) -> Guess:
         if not not_following(one) and one.angle == angle:
             columns[wanted] = structs.replace(one.command, sign=angle.sign * one.command.sign)
             notes[wanted] = followed(one)
-    return _with(guess, imported, columns, notes)
+    return _with(guess, columns, notes)

@@ -10,14 +10,14 @@ from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_names import MOST_RIVALS, WORDS, fitting, lacking, triad
 from experiments.exchange.guess_physics import Pose, find_imu
-from experiments.exchange.guess_result import Guess
+from experiments.exchange.guess_result import GuessedMap
 from experiments.exchange.guess_rivals import best_knee
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import unit_in_name
 
 
 def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], rivals: Sequence[Column],
-               gravity_mps2: float) -> Guess:
+               gravity_mps2: float) -> GuessedMap:
     """The guess for a leg by its knee's torque; without one by the error of the command that the knee follows."""
     triads = {kind: triad(imported, kind) for kind in ("gyro", "accel")}
     follows = "tau2_nm" not in columns
@@ -61,4 +61,4 @@ def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[st
         notes.pop("q1_rad", None)
     order = [TIME, *IMU, "q1_rad", "q2_rad", "q2_cmd_rad", "tau2_nm", "tau2_cmd_nm"]
     columns = {name: columns[name] for name in order if name in columns}
-    return Guess(columns, notes, warnings, unexplained, apply_map(imported, columns), curves)
+    return GuessedMap(columns, notes, warnings, unexplained, curves)

@@ -20,7 +20,7 @@ PATTERNS = {
     "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|strom|iq_|_iq|\biq\b",
     "q1": r"\bq1|q_?1_|hip|pivot|joint_?1\b|shoulder|joint_?0\b",
     "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|torso|trunk|pos|angle|winkel"
-          r"|enc(?![eyh])|theta|\bq\b|observation\.state",
+          r"|enc(?![eyh])|theta|(?<![a-z])phi|\bq\b|observation\.state",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
 NOT_MEASURED = (r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip|(?<![a-z])action"
@@ -38,13 +38,14 @@ SETTING = r"enable|limit"
 """Of a drive, no reading."""
 LEAST = 1e-300
 """Smaller numbers are memory that nobody wrote to, read as a double."""
-TIME_NAMES = (r"^_*(time|t|timestamp|stamp|sec|seconds|zeit(?:stempel)?|clock|millis|micros|time_.*|t_.*|"
+TIME_NAMES = (r"^_*(time|t|timestamp|stamp|sec|seconds|zeit(?:stempel)?|clock|millis|micros|elapsed|time_.*|t_.*|"
               r".*timestamp.*|.*time)$")
 STEP_S = (0.0002, 0.1)
 """Steps between which a log of a leg lies: they tell seconds from milliseconds."""
 UNNAMED = re.compile(r"column \d+")
 """What a reader calls a column of a table without a header."""
 TIME_REMEDIES = {"digits only": "export the times with more digits, or leave the column out and give --rate HZ",
+                 "is the step": "give the rate by --rate HZ",
                  "stands still": "export times of a finer resolution, or give --rate HZ for rows at one rate"}
 """What a column of times lacks -> the remedy."""
 AXIS = r"[^a-z0-9]?([xyz])(?:[\s\[(_].*)?$"
@@ -180,6 +181,9 @@ def _not_a_clock(values: FloatArray) -> str:
         return f"is blank in {values.size - known.size} of {values.size} rows"
     steps = np.diff(values[known])
     backwards = np.flatnonzero(steps < 0)
+    usual, spread = float(np.median(values[known])), float(np.ptp(values[known]))
+    if 0.0 < spread < usual and 2.0 * abs(float(steps.sum())) <= spread:
+        return f"is the step from row to row, {usual:g} in the median"
     if backwards.size:
         return f"runs backwards in {backwards.size} of {values.size} rows, first in row {known[backwards[0] + 1] + 1}"
     still = f"stands still in {int((steps == 0).sum())} of {values.size} rows"

@@ -13,6 +13,7 @@ from daq import Column, Dataset, FloatArray
 from experiments.exchange.guess_names import measured_columns
 from experiments.exchange.guess_physics import Found, Pose, find_knee
 from experiments.exchange.imported import ImportedFile
+from experiments.exchange.layouts import UNIT
 
 CLEARLY = 0.9
 """A rival leaves less than this share of what the likeliest name leaves: copies of one signal leave alike."""
@@ -24,7 +25,7 @@ MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|
                        r"|link")
 """Words of a name that say how a column was made, and not of which joint it is."""
 MOTOR = re.compile(r"motor|mot|rotor")
-TURNS = 2.0 * np.pi, 360.0
+TURNS = {2.0 * np.pi: "rad", 360.0: "deg"}
 WHAT = {"q2_rad": "the knee's angle", "tau2_nm": "its torque"}
 
 
@@ -54,6 +55,15 @@ def without_copies(imported: ImportedFile) -> tuple[ImportedFile, list[str]]:
     return replace(imported, tables=tuple(table for table in tables if table.columns)), list(told.values())
 
 
+def unwrapped(imported: ImportedFile) -> ImportedFile:
+    """The file with its angles as they go on over a turn, and as facts the units that these turns are in."""
+    turns = {name: turn for name in measured_columns(imported, "q1", "q2") if (turn := _turn(imported.values(name)))}
+    tables = [table._replace(columns={name: _continued(x) if name in turns else x for name, x in table.columns.items()})
+              for table in imported.tables]
+    units = {f"{UNIT}{name}": TURNS[turn] for name, turn in turns.items()}
+    return replace(imported, tables=tuple(tables), facts={**imported.facts, **units})
+
+
 def _of_one_joint(one: str, other: str) -> bool:
     """Whether two names differ in words alone that say how a column was made."""
     words = [set(re.findall(r"[a-z]+|\d+", name.lower())) for name in (one, other)]
@@ -72,11 +82,19 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return correlation * float(np.std(y) / np.std(x)), abs(correlation)
 
 
-def _continued(x: FloatArray) -> FloatArray:
-    """x (n,) without wraps by a turn, in rad or degrees."""
+def _turn(x: FloatArray) -> float:
+    """The turn, in rad or degrees, by which an angle (n,) wraps; 0 for none."""
+    x = x[np.isfinite(x)]
     span, jump = (float(np.max(values, initial=0.0)) for values in (x - x.min(initial=0.0), np.abs(np.diff(x))))
-    turn = next((turn for turn in TURNS if 0.7 * turn < jump <= span < 1.01 * turn), None)
-    return x if turn is None else np.unwrap(x, period=turn)
+    return next((turn for turn in TURNS if 0.7 * turn < jump <= span < 1.01 * turn), 0.0)
+
+
+def _continued(x: FloatArray) -> FloatArray:
+    """x (n,) without wraps by a turn; what is not known stays so."""
+    turn, known, out = _turn(x), np.isfinite(x), x.copy()
+    if turn:
+        out[known] = np.unwrap(x[known], period=turn)
+    return out
 
 
 def best_knee(raw: Dataset, columns: Mapping[str, Column],

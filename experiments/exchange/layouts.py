@@ -30,6 +30,8 @@ from experiments.exchange.units import unit_in_name
 STATE, ACTION, EPISODE = "observation.state", "action", "episode_index"
 ROBOT = "lerobot.robot"
 """Fact of a LeRobot file: the robot's type, empty where no file states it."""
+UNIT = "unit of "
+"""Start of the fact that names the unit of a column by its numbers."""
 LOADS = {"observation.effort": "observation.load_effort", "observation.current": "observation.load_current"}
 """Feature of a data set without a unit -> its columns' name here, which no guess takes for a torque"""
 BAM_ANGLE, BAM_GOAL, BAM_ON = "entries.position", "entries.goal_position", "entries.torque_enable"
@@ -103,12 +105,14 @@ def _robot_of(path: Path) -> tuple[dict[str, list[str]], str]:
 
 
 def stated(imported: ImportedFile, name: str, contract: str) -> Column:
-    """Column `name` as its layout means it, in the units of the layout; else with the unit that its name states."""
+    """Column `name` as its layout means it, in the units of the layout; else with the unit that its name states, or the
+    turn by which it wraps."""
     if ROBOT in imported.facts:
         return Column(name=name, unit="deg" if _counts_degrees(imported) else "")
     if PACE.match(name) or name in (BAM_ANGLE, BAM_GOAL):
         return Column(name=name, unit="rad")
-    return angle_register(imported, name) or Column(name=name, unit=unit_in_name(name, contract))
+    unit = unit_in_name(name, contract) or imported.facts.get(f"{UNIT}{name}", "")
+    return angle_register(imported, name) or Column(name=name, unit=unit)
 
 
 def loads_of(imported: ImportedFile, angles: Mapping[str, Column]) -> dict[str, Column]:

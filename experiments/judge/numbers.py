@@ -7,12 +7,15 @@ from typing import NamedTuple
 
 from estimator import TWO_SIDED, FitResult
 
+LARGE = 1e6
+"""Of a standard deviation: numbers beyond it are written with a power of ten."""
+
 
 def number(value: float, std: float = 0.0) -> str:
-    """`value` to two digits of its standard deviation, or to five digits where it has none."""
+    """`value` to two digits of its standard deviation, or to five digits where it has none, or a `LARGE` one."""
     if not math.isfinite(value):
         return "not determined"
-    if not (math.isfinite(std) and std > 0):
+    if not 0.0 < std < LARGE:
         return f"{value:.5g}"
     decimals = min(max(1 - math.floor(math.log10(std)), 0), 9)
     return f"{value:.{decimals}f}"

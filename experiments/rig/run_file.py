@@ -30,8 +30,8 @@ def facts_of_run(path: Path) -> RigFacts:
     torques = {int(m[1]) for name in names if (m := re.fullmatch(r"tau(\d+)_nm?", name))}
     volts = bool({"duty", VOLTAGE} & set(names))
     links = max(max(angles), 2 if set(IMU) <= set(names) else 1)
-    model = {1: "joint1", 2: "leg2"}.get(links, "chain")
     driven = tuple(sorted({*torques, *follows, *((1,) if volts and links == 1 else ())}))
+    model = {1: "joint1", 2: "leg2"}.get(links, "chain") if driven != (1,) or links == 1 else "chain"
     return RigFacts(model=model, links=links, actuated=driven, records=False, servo=bool(follows),
                     voltage=volts and links == 1,
                     known=frozenset({"model", "links", *(() if set(IMU) & set(names) else ("lever_arm_m",))}))

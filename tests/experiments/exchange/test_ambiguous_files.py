@@ -44,7 +44,7 @@ def test_two_angles_without_a_torque_are_a_free_chain(unit: float, tmp_path: Pat
     assert {name: (c.name, c.unit, c.sign) for name, c in found.items() if name != "time_s"} == {
         "q1_rad": ("theta1", "deg" if unit > 1.0 else "", 1), "q2_rad": ("theta2", "deg" if unit > 1.0 else "", 1)}
     err = capsys.readouterr().err
-    assert "actuated = []" in err and "'u' may be a torque" in err
+    assert "actuated = []" in err and "'u' may drive a joint" in err
 
 
 def test_forces_are_no_angles_and_a_wrench_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

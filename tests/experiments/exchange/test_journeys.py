@@ -1,0 +1,58 @@
+"""Where new users hesitated with files of other people (docs/evidence/real-files.md, Three journeys)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import main
+from experiments.exchange import load_map
+from experiments.judge import number
+
+
+def swinging(rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) [s] and the angle (n,) [rad] of a pendulum that whirls slower and slower, then swings."""
+    t = np.arange(0.0, 20.0, 1.0 / rate_hz)
+    q, v, found = 0.1, 9.0, []
+    for _ in t:
+        for _ in range(10):
+            v += (-10.0 * np.sin(q) - 0.15 * v) / rate_hz / 10.0
+            q += v / rate_hz / 10.0
+        found.append(q)
+    return t, np.array(found)
+
+
+def written(path: Path, head: str, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=head, comments="")
+    return path
+
+
+def test_a_wrap_shows_the_unit_and_a_name_keeps_its_backslash(tmp_path: Path,
+                                                              capsys: pytest.CaptureFixture[str]) -> None:
+    t, q = swinging()
+    degrees = (np.degrees(q) + 180.0) % 360.0 - 180.0
+    file, target = written(tmp_path / "a.csv", r"t,$\theta$,u", t, degrees, np.sin(t)), tmp_path / "c.toml"
+    assert main(["import", str(file), "--guess", "--map", str(target)]) == 0
+    column = load_map(target)["q1_rad"]
+    assert (column.name, column.unit) == (r"$\theta$", "deg") and r'"$\\theta$"' in target.read_text()
+    assert "'u' may drive a joint" in capsys.readouterr().err
+
+
+def test_steps_of_time_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    t, q = swinging(25.0)
+    elapsed = 40.0 + np.random.default_rng(1).integers(-1, 2, t.size)
+    file = written(tmp_path / "a.csv", "position,elapsed", q, elapsed)
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "'elapsed' is the step from row to row, 40 in the median; give the rate by --rate HZ" in said
+
+
+def test_two_links_of_which_the_first_has_a_motor_are_a_chain(tmp_path: Path) -> None:
+    t, q = swinging()
+    file = written(tmp_path / "a.csv", "time_s,q1_rad,q2_rad,tau1_nm", t, q, 0.1 * q, np.sin(t))
+    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(file)]) == 0
+    assert 'model = "chain"' in (tmp_path / "rig.toml").read_text()
+
+
+def test_a_number_of_no_size_is_short() -> None:
+    assert number(-5.0e95, 8e90) == "-5e+95"
