@@ -23,8 +23,10 @@ def tried(column: str) -> dict[str, float]:
 
 
 def correction(factors: Mapping[str, float], sources: Mapping[str, str] | None = None) -> tuple[str, str]:
-    """What looks wrong with columns whose readings need these factors, and what to write into the rig file; `sources`
-    are the columns that they are read from, each from itself without."""
+    """Two sentences on columns whose readings need these factors: what looks wrong, and what to write into rig.toml.
+
+    `sources` are the columns that they are read from, each from itself without.
+    """
     looks: dict[str, list[str]] = {}
     writes = []
     for column, factor in factors.items():

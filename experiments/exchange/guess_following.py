@@ -121,7 +121,8 @@ def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapp
             for j in joints}
 
 
-def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command) -> GuessedMap:
+def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command
+                     ) -> GuessedMap:
     """The guess for a single joint that follows a command; with its duty and volts where the file has both."""
     theirs = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
     joint = find_servo_joint(apply_map(imported, clock | theirs), one)
