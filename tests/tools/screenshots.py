@@ -66,7 +66,7 @@ def mujoco_plot(demo: Path) -> str:
         model = load_model(demo / f"{name}.json")
         prepared = prepare([held], rig, beta=np.array(model.beta))
         run = validate_in_mujoco(model, validate_prepared(model, prepared, name), name).table.runs[0]
-        found[label] = run.trace("q2_rad")
+        found[label] = run.trace("q2_rad", 0)
     part = window(run.time_s, SECONDS)
     measured = run.measured[run.channels.index("q2_rad")]
     lines = [Line("measured", measured[part], BLUE, 2.4)]
