@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from typing import Any
 
 from drivers import dynamixel as dxl
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -65,12 +64,11 @@ class DynamixelDrive(PolledDrive[bytes]):
     capabilities = Capabilities(polled=True, clock="counter", current="instant", knee_twice=False, hip=False,
                                 lacks=LACKS)
 
-    def __init__(self, link: Link[bytes], wiring: Wiring, *clock: Any) -> None:
-        super().__init__(link, wiring, *clock)
+    def _set_up(self) -> None:
         self.table = b""
         """The EEPROM's part of its control table."""
         self.model = dxl.Model("Dynamixel", 1e-3)
-        self._where = f"Dynamixel {wiring.node}"
+        self._where = f"Dynamixel {self.wiring.node}"
         self._decoder = dxl.Decoder()
         self._firmware = 0
         self._waiting: list[bytes] = []

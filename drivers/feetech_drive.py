@@ -11,7 +11,6 @@ it on. A Stop goes out at once, and once more behind an answer that it may have 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from drivers import feetech as sts
 from drivers.drive import Capabilities, Lack, Wiring
@@ -48,12 +47,11 @@ class FeetechDrive(PolledDrive[bytes]):
 
     capabilities = Capabilities(polled=True, clock="none", current="instant", knee_twice=False, hip=False, lacks=LACKS)
 
-    def __init__(self, link: Link[bytes], wiring: Wiring, *clock: Any) -> None:
-        super().__init__(link, wiring, *clock)
+    def _set_up(self) -> None:
         self.refusal = REFUSAL
         self.table = b""
         """The EEPROM's part of its memory table."""
-        self._where = f"Feetech servo {wiring.node}"
+        self._where = f"Feetech servo {self.wiring.node}"
         self._decoder = sts.Decoder()
         self._turns: int | None = None
         """Counts of whole turns before the newest position; None before the first."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from contextlib import suppress
-from typing import Any
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -94,11 +93,10 @@ class MoteusDrive(PolledDrive[Frames]):
     capabilities = Capabilities(polled=True, clock="counter", current="instant", knee_twice=False, hip=False,
                                 lacks=LACKS)
 
-    def __init__(self, link: Link[Frames], wiring: Wiring, *clock: Any) -> None:
-        super().__init__(link, wiring, *clock)
+    def _set_up(self) -> None:
         self.settings: dict[str, float] = {}
         """What `conf get` said; NaN where the firmware does not know the setting."""
-        self._where = f"moteus {wiring.node}"
+        self._where = f"moteus {self.wiring.node}"
         self._timeout_s = 0.1
         self._found: dict[int, float] = {}
         self._counted: deque[tuple[float, int]] = deque()

@@ -8,7 +8,6 @@ WATCHDOG_TIMER_EXPIRED. Polling goes on meanwhile, so a watchdog that polling fe
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from drivers.can_frame import NODE_BITS, ONE_MESSAGE, Frames
 from drivers.cansimple import (
@@ -74,9 +73,8 @@ class OdriveDrive(PolledDrive[Frames]):
     capabilities = Capabilities(polled=True, clock="none", current="instant", knee_twice=False, hip=False,
                                 arming_s=2.5, lacks=LACKS)
 
-    def __init__(self, link: Link[Frames], wiring: Wiring, *clock: Any) -> None:
-        super().__init__(link, wiring, *clock)
-        self._where = f"ODrive node {wiring.node}"
+    def _set_up(self) -> None:
+        self._where = f"ODrive node {self.wiring.node}"
         self._version = ""
         self._found: dict[Msg, tuple[float, ...]] = {}
         self._slow = {Msg.GET_BUS_VOLTAGE_CURRENT: (math.nan, math.nan), Msg.GET_TEMPERATURE: (math.nan, math.nan)}

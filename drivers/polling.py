@@ -85,6 +85,10 @@ class PolledDrive(LinkHolder, Generic[Chunk]):
         self._request = -1
         self._command_seq = 0
         self._boot_id = random.getrandbits(32)
+        self._set_up()
+
+    def _set_up(self) -> None:
+        """Its own state as it is before anybody has answered."""
 
     # -- the drive's own -----------------------------------------------------------------------------------
 

@@ -62,6 +62,11 @@ class BenchDrive(ABC):
         self._now_ns = self._t_ns = self._boot_ns = self._warmed_ns = t_ns
         still = Snapshot()
         self._segment = Segment(t_ns - 1, t_ns, still, still)
+        self._set_up()
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Its own state after power-on."""
 
     @abstractmethod
     def _obey(self, data: Any, t_ns: int) -> None:

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
 
 from drivers import dynamixel as dxl
-from drivers.drive import Wiring
 from drivers.dynamixel import Address, HardwareError, Instruction
 from drivers.mock.bench_drive import BenchDrive, DriveFacts
-from drivers.mock.settings import FirmwareSettings
 
 FACTS = DriveFacts(node=1, rate_hz=250.0, serial=True)
 MODEL, FIRMWARE = 1040, 45
@@ -46,16 +43,16 @@ class MockDynamixel(BenchDrive):
     """The one by the identifier `wiring.node`, and the line that it is on."""
 
     nothing = b""
+    model = MODEL
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any, model: int = MODEL) -> None:
-        super().__init__(settings, wiring, *world)
+    def _set_up(self) -> None:
         self.driver_ok = True
         self.stuck = False
         """All readings, the tick among them, stay as they are."""
-        self.table = new_table(wiring.node, model)
+        self.table = new_table(self.wiring.node, self.model)
         self.others: dict[int, bytearray] = {}
-        self.unit_a = dxl.MODELS[model].current_a
-        limit = 1.05 * settings.torque_limit_nm / settings.torque_constant_nm_per_a / self.unit_a
+        self.unit_a = dxl.MODELS[self.model].current_a
+        limit = 1.05 * self.settings.torque_limit_nm / self.settings.torque_constant_nm_per_a / self.unit_a
         struct.pack_into("<H", self.table, Address.CURRENT_LIMIT, round(limit))
         self._decoder = dxl.Decoder()
         self._fed_ns = self._t_ns

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
 
 from drivers import feetech as sts
-from drivers.drive import Wiring
 from drivers.feetech import Address, Instruction, Status
 from drivers.mock.bench_drive import BenchDrive, DriveFacts
-from drivers.mock.settings import FirmwareSettings
 
 FACTS = DriveFacts(node=1, rate_hz=200.0, serial=True)
 MODEL = 777
@@ -40,10 +37,9 @@ class MockFeetech(BenchDrive):
 
     nothing = b""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
-        super().__init__(settings, wiring, *world)
+    def _set_up(self) -> None:
         self.driver_ok = True
-        self.table = new_table(wiring.node)
+        self.table = new_table(self.wiring.node)
         self.others: dict[int, bytearray] = {}
         self.echoes = False
         """The adapter gives back what was written, as one does whose lines are tied together."""

@@ -6,13 +6,10 @@ Written from docs/protocol/*.md and docs/reference/configuration.md of github.co
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from drivers.can_frame import CanFrame, Frames, padded
-from drivers.drive import Wiring
 from drivers.mock.bench_drive import BenchDrive, DriveFacts
 from drivers.mock.fdcanusb import MockFdcanusb
-from drivers.mock.settings import FirmwareSettings
 from drivers.multiplex import (
     NOP,
     READ,
@@ -59,18 +56,17 @@ OVER_VOLTAGE, ENCODER, OVER_TEMPERATURE, UNDER_VOLTAGE, DRIVER = 34, 35, 38, 40,
 class MockMoteus(BenchDrive):
     """One moteus on the bus, by the identifier `wiring.node`."""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
-        super().__init__(settings, wiring, *world)
+    def _set_up(self) -> None:
         self.mode = STOPPED
         self.fault = 0
         self.driver_ok = True
         self.map_version, self.has_counter = MAP_VERSION, True
         self.stuck_counter_ms: int | None = None
         """Set: the registers are no longer written, as behind a task that hangs; all readings stay as they are."""
-        current = 1.05 * settings.torque_limit_nm / settings.torque_constant_nm_per_a
-        self.config = {"id.id": float(wiring.node), "servo.timeout_mode": 0.0, "servo.default_timeout_s": 0.1,
-                       "servo.max_current_A": current, "servo.max_velocity": settings.speed_limit_radps
-                       * abs(wiring.turns) / (2.0 * math.pi), "servopos.position_min": math.nan,
+        current = 1.05 * self.settings.torque_limit_nm / self.settings.torque_constant_nm_per_a
+        self.config = {"id.id": float(self.wiring.node), "servo.timeout_mode": 0.0, "servo.default_timeout_s": 0.1,
+                       "servo.max_current_A": current, "servo.max_velocity": self.settings.speed_limit_radps
+                       * abs(self.wiring.turns) / (2.0 * math.pi), "servopos.position_min": math.nan,
                        "servopos.position_max": math.nan, "servo.enable_motor_temperature": 1.0,
                        "servo.pid_position.kp": 4.0, "servo.pid_position.kd": 0.05}
         """What `conf get` says. Its default for timeout_mode is 12; this one was set up for legid."""

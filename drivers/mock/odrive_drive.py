@@ -6,7 +6,6 @@ Written from the published protocol page and DBC, not from its code.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from drivers.can_frame import NODE_BITS, CanFrame, Frames
 from drivers.cansimple import (
@@ -18,9 +17,7 @@ from drivers.cansimple import (
     message,
     values_of,
 )
-from drivers.drive import Wiring
 from drivers.mock.bench_drive import BenchDrive, DriveFacts
-from drivers.mock.settings import FirmwareSettings
 
 FACTS = DriveFacts(node=0, rate_hz=250.0, serial=False)
 BEAT_NS = 100_000_000
@@ -31,9 +28,8 @@ ASKED = (Msg.GET_VERSION, Msg.GET_ERROR, Msg.GET_ENCODER_ESTIMATES, Msg.GET_IQ, 
 class MockOdrive(BenchDrive):
     """One axis, by the node `wiring.node`."""
 
-    def __init__(self, settings: FirmwareSettings, wiring: Wiring, *world: Any) -> None:
-        super().__init__(settings, wiring, *world)
-        self.watchdog_s, self.watchdog_on = wiring.watchdog_ms * 1e-3, True
+    def _set_up(self) -> None:
+        self.watchdog_s, self.watchdog_on = self.wiring.watchdog_ms * 1e-3, True
         """axis0.config.watchdog_timeout and enable_watchdog."""
         self.polling_feeds = False
         """A watchdog that every frame feeds, as none should."""

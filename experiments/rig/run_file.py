@@ -31,7 +31,8 @@ def facts_of_run(path: Path) -> RigFacts:
     volts = bool({"duty", VOLTAGE} & set(names))
     links = max(max(angles), 2 if set(IMU) <= set(names) else 1)
     driven = tuple(sorted({*torques, *follows, *((1,) if volts and links == 1 else ())}))
-    model = {1: "joint1", 2: "leg2"}.get(links, "chain") if driven != (1,) or links == 1 else "chain"
+    leg = links == 2 and driven != (1,)  # its pivot has no motor
+    model = "joint1" if links == 1 else "leg2" if leg else "chain"
     return RigFacts(model=model, links=links, actuated=driven, records=False, servo=bool(follows),
                     voltage=volts and links == 1,
                     known=frozenset({"model", "links", *(() if set(IMU) & set(names) else ("lever_arm_m",))}))

@@ -83,11 +83,14 @@ def on_model(model: int, plant: StillPlant | None = None, **wiring: float) -> tu
     bench = DriveBench.__new__(DriveBench)
     bench.wiring = Wiring(node=1, rate_hz=250.0, torque_constant_nm_per_a=CONSTANT, **wiring)  # type: ignore[arg-type]
     bench.clock = VirtualClock()
-    settings = FirmwareSettings(torque_constant_nm_per_a=CONSTANT)
+    settings, number = FirmwareSettings(torque_constant_nm_per_a=CONSTANT), model
+
+    class Emulated(MockDynamixel):
+        model = number
 
     def make(settings: FirmwareSettings, seed: int, t_ns: int, advance: Callable[[int], None],
              lock: threading.RLock) -> MockDynamixel:
-        return MockDynamixel(settings, bench.wiring, seed, t_ns, advance, lock, model=model)
+        return Emulated(settings, bench.wiring, seed, t_ns, advance, lock)
 
     bench.rig = MockRig(plant or StillPlant(), bench.clock, firmware=settings, seed=1, make=make)
     bench.far = bench.rig.drive
