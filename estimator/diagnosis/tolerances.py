@@ -13,9 +13,8 @@ from estimator.score import RunScores, agreement_of, nuisance_candidates, nuisan
 def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
     """(w,) the leg's parameters and sizes, and their (w, w) `covariance` with the tolerances of the rig marginalised.
 
-    By default that of noise and of what the train runs disagree about. A nominal model moves half way to the likeliest
-    nuisances, as a fit does. With effects, whose sizes have no tolerance, it stays at its optimum, by which free runs
-    are judged, and the whole step counts with a rectangular distribution (JCGM 100, 4.3.7).
+    By default that of noise and of what the train runs disagree about. The values are the optimum, by which free runs
+    are judged: the whole step to the likeliest nuisances counts with a rectangular distribution (JCGM 100, 4.3.7).
     """
     stated, mechanism = model.split.options.tolerances, model.split.mechanism
     values, leg = model.state.beta[: model.width], model.state.covariance[: model.width, : model.width]
@@ -41,7 +40,5 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple
     own = np.flatnonzero(free)
     directions = found.marginal.directions
     wide[np.ix_(own, own)] = found.marginal.noise + directions.T @ directions
-    half = found.step[: model.width]
-    spread = half if not model.effects else 2.0 * half
-    return (values if model.effects else values + half,
-            covariance + wide[: model.width, : model.width] + np.outer(spread, spread) / 3.0)
+    step = found.step[: model.width]
+    return values, covariance + wide[: model.width, : model.width] + np.outer(step, step) / 3.0

@@ -123,16 +123,20 @@ def leg(unit: float = 1.0) -> tuple[LatentProblem, State]:
 
 @pytest.mark.parametrize("free_nm", [0.0, 0.05])
 def test_differences_do_not_depend_on_the_unit_of_torque(free_nm: float) -> None:
-    """Nor where friction is free at rest: there a share of log |det J|, which has units, must not hang on a level."""
+    """Nor where friction is free at rest: there a share of log |det J|, which has units, must not hang on a level, nor
+    on how much of a record one of the models has at rest."""
     found = []
     for unit in (1.0, 1000.0):
         problem, state = leg(unit)
-        rest = np.zeros((problem.total, 2, 2))
-        rest[100:300] = (free_nm * unit) ** 2
-        problem = problem.with_stiction(rest)
-        state = converge_motion(problem, state, 40)
-        other = replace(state, beta=state.beta * 1.05, noise=replace(state.noise, torque=state.noise.torque * 1.5))
-        found.append(log_marginal(problem, converge_motion(problem, other, 40)) - log_marginal(problem, state))
+        rest = np.zeros((2, problem.total, 2, 2))
+        rest[:, 100:180, 1] = (free_nm * unit) ** 2
+        rest[1, 20:80, 1, 0] = (free_nm * unit) ** 2
+        rest[:, 110, 0] = (5.0 * free_nm * unit) ** 2  # one value a crossing, as large as its samples
+        one, other = (replace(state, noise=replace(state.noise, stiction=own)) for own in rest)
+        other = replace(other, beta=state.beta * 1.05, noise=replace(other.noise, torque=state.noise.torque * 1.5))
+        one, other = (converge_motion(problem, s, 40) for s in (one, other))
+        assert one.noise.stiction is not None and other.noise.stiction is not None
+        found.append(log_marginal(problem, other) - log_marginal(problem, one))
     assert abs(found[0]) > 1.0 and found[1] == pytest.approx(found[0], rel=1e-6)
 
 
