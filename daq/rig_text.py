@@ -30,7 +30,7 @@ def quoted(text: str) -> str:
 def _escaped(char: str) -> str:
     if char.isprintable():
         return f"\\{char}" if char in '"\\' else char
-    return "?" if 0xD800 <= ord(char) < 0xE000 else f"\\U{ord(char):08x}"  # half of a character is none
+    return "?" if "\ud800" <= char < "\ue000" else f"\\U{ord(char):08x}"  # half of a character is none
 
 
 def set_values(text: str, tables: Mapping[str, Mapping[str, object]], where: str = "rig.toml") -> str:

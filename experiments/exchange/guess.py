@@ -69,9 +69,8 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
     if rate_hz is not None:
         imported = _timed(imported, rate_hz)
     one, cell = first_run(imported)
-    one = chosen_joints(one, joints) if joints else one
+    one = unwrapped(chosen_joints(one, joints) if joints else one)
     one, copies = (one, []) if has(one, "gyro", "accel") else without_copies(one)
-    one = unwrapped(one)
     guess = _guess_one(one, gravity_mps2)
     columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
                for name, column in guess.columns.items()}

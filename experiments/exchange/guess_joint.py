@@ -10,7 +10,6 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from daq import Column, Dataset, FloatArray
-from estimator.calibration import TRIED
 from estimator.model import chain
 from experiments.exchange.guess_chain import regressor
 from experiments.exchange.guess_physics import (
@@ -22,12 +21,13 @@ from experiments.exchange.guess_physics import (
     Sign,
     Way,
     inside,
+    overruled,
     ranked,
     scale_warnings,
     share_left,
     smooth,
+    units_of,
 )
-from experiments.exchange.units import factor
 
 ONE = chain(1, velocity_scale=SMOOTHING_RADPS)
 BLOCKS = 4
@@ -43,30 +43,23 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     """
     angle, torque = columns["q1_rad"], columns.get("tau1_nm")
     use, what = inside(raw, list(columns)), "the acceleration" if torque is None else f"the torque {torque.name!r}"
-    stated = factor(angle.unit, "q1_rad", angle.name)
-    scales = {unit: scale / stated for unit, scale in TRIED["rad"].items()}
-    by_name = next((unit for unit, scale in scales.items() if np.isclose(scale, 1.0)), "")
-    ways = readings(raw, use, scales, None if torque is None else smooth(raw["tau1_nm"], raw.rate_hz))
-    first, second, *_ = ranked(ways, by_name)
+    ways = readings(raw, use, units_of(angle), None if torque is None else smooth(raw["tau1_nm"], raw.rate_hz))
+    first, second, *_ = ranked(ways, angle.unit)
     shown, sure = first.unit or "rad", second.left >= CLEAR * first.left
-    warnings, unexplained = [], []
+    warnings, unexplained = overruled(angle, ways, first.unit, what), []
     if first.left > EXPLAINS:
         unexplained.append(f"no unit of {angle.name!r} explains {what} (the best leaves {100 * first.left:.0f} %): too "
                            f"little motion, or {'a motor' if torque is None else 'the torque of another joint'}")
-    if angle.unit and first.unit != by_name:
-        named = next(way.left for way in ways if way.unit == by_name)
-        warnings.append(f"the name of {angle.name!r} says {angle.unit}, but {shown} leaves {100 * first.left:.0f} % of "
-                        f"{what}, not {100 * named:.0f} %: {shown} is taken")
     if not angle.unit and not sure:
         warnings.append(f"the unit of {angle.name!r} does not show (rad or {second.unit or 'rad'}): {shown} is taken; "
                         "set it by hand if it is another")
-    found = {"q1_rad": structs.replace(angle, unit=angle.unit if first.unit == by_name else first.unit)}
+    found = {"q1_rad": structs.replace(angle, unit=first.unit)}
     notes = {}
     works: Sign = 1
     if torque is not None:
-        works = 1 if _inertia(first.z[use], first.push[use]) > 0 else -1
+        works = 1 if _solved(first.z[use], first.push[use])[0] > 0 else -1
         parts = zip(*(np.array_split(x[use], BLOCKS) for x in (first.z, first.push)))
-        if not unexplained and any(_inertia(*part) * works <= 0 for part in parts):
+        if not unexplained and any(_solved(*part)[0] * works <= 0 for part in parts):
             unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of "
                                "the inertia; import a record with faster motion")
         warnings += scale_warnings("tau1_nm", torque)
@@ -109,7 +102,3 @@ def readings(raw: Dataset, use: NDArray[np.bool_], scales: Mapping[str, float], 
 def _solved(z: FloatArray, tau: FloatArray) -> FloatArray:
     """(k,) by least squares."""
     return np.asarray(np.linalg.lstsq(z, tau, rcond=None)[0])
-
-
-def _inertia(z: FloatArray, tau: FloatArray) -> float:
-    return float(_solved(z, tau)[0])

@@ -113,7 +113,7 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
         warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     a_y = out_sign * to_mps2 * accel[along]
-    best: list[_Turning] = []
+    best = []
     for side, (unit, scale), sign in product([name for name in accel if name != along], TRIED["radps"].items(), SIGNS):
         a_x = to_mps2 * accel[side]
         made, lever, pose = _tangential(a_x, a_y, sign * scale * gyro[turning], rate_hz, gravity)
@@ -137,16 +137,14 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     columns = {"gyro_radps": Column(name=turning, unit=unit.removeprefix("rad/s"), sign=first.sign),
                "accel_x_mps2": Column(name=first.side, unit=accel_unit),
                "accel_y_mps2": Column(name=along, unit=accel_unit, sign=1 if out_sign > 0 else -1)}
-    notes = {"gyro_radps": "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer",
-             "accel_x_mps2": "NOT KNOWN: it does not fit the gyro",
-             "accel_y_mps2": f"NOT KNOWN: no gravity in it, {length:.4g} in the median"}
-    if heavy:
-        notes["accel_y_mps2"] = f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
-    if known:
-        notes["gyro_radps"] = (f"{NOT_SURE * bool(close)}the axis that turns most; {fits} (next best: "
-                               f"{100 * second.left:.0f} %)")
-        notes["accel_x_mps2"] = ("across the link, in the plane of motion; the IMU's lever arm would be "
-                                 f"{first.lever:.3f} m")
+    notes = {
+        "gyro_radps": (f"{NOT_SURE * bool(close)}the axis that turns most; {fits} (next best: "
+                       f"{100 * second.left:.0f} %)" if known else
+                       "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer"),
+        "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {first.lever:.3f} m"
+                         if known else "NOT KNOWN: it does not fit the gyro"),
+        "accel_y_mps2": (f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
+                         if heavy else f"NOT KNOWN: no gravity in it, {length:.4g} in the median")}
     return Found(columns, notes, warnings, unexplained, (first.read, first.made), first.pose)
 
 
@@ -247,11 +245,7 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     ways = _knees(raw, columns, pose, push, gravity)
     first, second, *_ = ranked(ways, knee.unit or None)
     unit = first.unit or "rad"
-    warnings, unexplained = [], []
-    if knee.unit and first.unit != knee.unit:
-        named = min(way.left for way in ways if way.unit == knee.unit)
-        warnings.append(f"the name of {knee.name!r} says {knee.unit}, but in {unit} the equation of motion leaves "
-                        f"{100 * first.left:.0f} % of {short}, not {100 * named:.0f} %: {unit} is taken")
+    warnings, unexplained = overruled(knee, ways, first.unit, short), []
     known, close = first.left <= EXPLAINS, close_call("the knee's unit and sign", short, first, second)
     if not known:
         unexplained.append(
@@ -271,13 +265,12 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         unexplained, known = [], True
     if pose is None and "q1_rad" in columns:
         out["q1_rad"] = structs.replace(columns["q1_rad"], unit=first.hip_unit)
-    notes = {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
-             "tau2_nm": "NOT KNOWN: its sign does not show"}
-    if known:
-        prefix = NOT_SURE if close or first.left > EXPLAINS else ""
-        notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
-                           f"{100 * first.left:.1f} % of {short} (next best: {100 * second.left:.0f} %)",
-                 "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"}
+    prefix = NOT_SURE * (bool(close) or first.left > EXPLAINS)
+    notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
+                       f"{100 * first.left:.1f} % of {short} (next best: {100 * second.left:.0f} %)",
+             "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"
+             } if known else {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
+                              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if torque is None:
         del notes["tau2_nm"]
     else:
@@ -292,13 +285,13 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
            ) -> list[_Knee]:
     """What every unit and sign leaves. A pivot's encoder without a unit of its own has the knee's."""
     knee, hip = columns["q2_rad"], columns.get("q1_rad", Column(name=""))
-    angles = _in_units(knee, raw["q2_rad"])
+    angles = {unit: scale * filled(raw["q2_rad"]) for unit, scale in units_of(knee).items()}
     if pose is not None:
         poses = {hip.unit: pose}
     else:
-        hips = _in_units(hip, raw["q1_rad"])
-        poses = {unit: Pose(q1, np.gradient(q1, 1.0 / raw.rate_hz)) for unit, q1 in hips.items()
-                 if not hip.unit or unit == hip.unit}
+        q1 = filled(raw["q1_rad"])
+        poses = {unit: Pose(scale * q1, scale * np.gradient(q1, 1.0 / raw.rate_hz))
+                 for unit, scale in units_of(hip).items() if not hip.unit or unit == hip.unit}
     measured = [name for name in ("q1_rad", "q2_rad", "tau2_nm") if name in raw]
     follows = "tau2_nm" not in columns
     use = inside(raw, measured if pose is None else measured[-2:])
@@ -313,11 +306,19 @@ def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push:
     return out
 
 
-def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
-    """An angle (n,) in rad under every unit that it may have; `values` are read by that of its name."""
+def units_of(column: Column) -> dict[str, float]:
+    """Unit -> factor to be put on an angle that is read by the unit of its name, for every unit that it may have."""
     stated = factor(column.unit, "q2_rad", column.name)
-    others = {unit: scale / stated for unit, scale in TRIED["rad"].items() if not np.isclose(scale, stated)}
-    return {unit: scale * filled(values) for unit, scale in ({column.unit: 1.0} | others).items()}
+    return {column.unit: 1.0} | {unit: scale / stated for unit, scale in TRIED["rad"].items()
+                                 if not np.isclose(scale, stated)}
+
+
+def overruled(column: Column, ways: Iterable[Way], unit: str, what: str) -> list[str]:
+    """A warning where the name of an angle states another unit than `unit`, which explains `what` better; else none."""
+    left = {way.unit: way.left for way in ranked(ways)[::-1]}
+    return [] if not column.unit or unit == column.unit else [
+        f"the name of {column.name!r} says {column.unit}, but in {unit or 'rad'} the equation of motion leaves "
+        f"{100 * left[unit]:.0f} % of {what}, not {100 * left[column.unit]:.0f} %: {unit or 'rad'} is taken"]
 
 
 def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, use: NDArray[np.bool_], rate_hz: float, gravity: float

@@ -25,7 +25,7 @@ MADE_FROM = re.compile(r"est|estimated?|hat|obs|observer|observed|kalman|kf|ekf|
                        r"|link")
 """Words of a name that say how a column was made, and not of which joint it is."""
 MOTOR = re.compile(r"motor|mot|rotor")
-TURNS = {2.0 * np.pi: "rad", 360.0: "deg"}
+TURNS = {"rad": 2.0 * np.pi, "deg": 360.0}
 WHAT = {"q2_rad": "the knee's angle", "tau2_nm": "its torque"}
 
 
@@ -57,10 +57,17 @@ def without_copies(imported: ImportedFile) -> tuple[ImportedFile, list[str]]:
 
 def unwrapped(imported: ImportedFile) -> ImportedFile:
     """The file with its angles as they go on over a turn, and as facts the units that these turns are in."""
-    turns = {name: turn for name in measured_columns(imported, "q1", "q2") if (turn := _turn(imported.values(name)))}
-    tables = [table._replace(columns={name: _continued(x) if name in turns else x for name, x in table.columns.items()})
+    units, angles = dict[str, str](), dict[str, FloatArray]()
+    for name in measured_columns(imported, "q1", "q2"):
+        x = imported.values(name).copy()
+        known = np.isfinite(x)
+        span, jump = np.ptp(x[known]), np.abs(np.diff(x[known])).max()
+        for unit, turn in TURNS.items():
+            if 0.7 * turn < jump <= span < 1.01 * turn:
+                x[known] = np.unwrap(x[known], period=turn)
+                units[f"{UNIT}{name}"], angles[name] = unit, x
+    tables = [table._replace(columns={name: angles.get(name, x) for name, x in table.columns.items()})
               for table in imported.tables]
-    units = {f"{UNIT}{name}": TURNS[turn] for name, turn in turns.items()}
     return replace(imported, tables=tuple(tables), facts={**imported.facts, **units})
 
 
@@ -71,30 +78,15 @@ def _of_one_joint(one: str, other: str) -> bool:
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Slope of y (n,) over x (n,) and the size of their correlation; wraps by a turn are undone in both."""
+    """Slope of y (n,) over x (n,) and the size of their correlation."""
     if x.size != y.size:
         return 0.0, 0.0
     known = np.isfinite(x) & np.isfinite(y)
-    x, y = (_continued(values[known]) for values in (x, y))
+    x, y = x[known], y[known]
     if x.size < 3 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return 0.0, 0.0
     correlation = float(np.corrcoef(x, y)[0, 1])
     return correlation * float(np.std(y) / np.std(x)), abs(correlation)
-
-
-def _turn(x: FloatArray) -> float:
-    """The turn, in rad or degrees, by which an angle (n,) wraps; 0 for none."""
-    x = x[np.isfinite(x)]
-    span, jump = (float(np.max(values, initial=0.0)) for values in (x - x.min(initial=0.0), np.abs(np.diff(x))))
-    return next((turn for turn in TURNS if 0.7 * turn < jump <= span < 1.01 * turn), 0.0)
-
-
-def _continued(x: FloatArray) -> FloatArray:
-    """x (n,) without wraps by a turn; what is not known stays so."""
-    turn, known, out = _turn(x), np.isfinite(x), x.copy()
-    if turn:
-        out[known] = np.unwrap(x[known], period=turn)
-    return out
 
 
 def best_knee(raw: Dataset, columns: Mapping[str, Column],
