@@ -107,8 +107,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     """Parts that every verdict has: runs, nominal parameters, what cannot be tested."""
     split = nominal.split
     names = split.mechanism.names
-    values, covariance = with_tolerances(nominal)
-    std = np.sqrt(np.diag(covariance))
+    values, std = nominal.state.beta, np.sqrt(np.diag(with_tolerances(nominal)))
     warnings = []
     if split.single:
         warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "

@@ -60,7 +60,7 @@ class Explanation:
         """(m, m) of the parameters that belong to the leg, from noise, scatter between runs and tolerances."""
         model, width = self.model, self.model.width
         spread = np.sqrt(self.inflation[:width])
-        return with_tolerances(model, np.outer(spread, spread) * model.state.covariance[:width, :width])[1]
+        return with_tolerances(model, np.outer(spread, spread) * model.state.covariance[:width, :width])
 
 
 def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:

@@ -139,11 +139,11 @@ def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(tolerance
     split = split_runs(runs, m, options)
     seen = [next(d for d in runs if d.name == split.names[i]) for i in split.train]
     found, near = fit(seen, m, options), fit_nominal(seen, m, options)
-    best = fit(seen, m, replace(options, tolerances=None))
+    best = fit(seen, m, replace(options, tolerances=None))  # the optimum
     assert near.state is not None and near.state.converged, "else the readings were not those of the split"
     model = nominal_model(replace(split, mechanism=near.mechanism, options=replace(
         options, hold=near.hold, smoothing_velocity="given")), near.state)
-    values, covariance = with_tolerances(model)
+    values, covariance = model.state.beta, with_tolerances(model)
     assert values / best.std == pytest.approx(best.beta / best.std, rel=0.0, abs=1e-6)
     wider = np.sqrt(np.diag(covariance)) / found.std
     moved = np.abs(values - found.beta) / found.std
