@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from daq import FloatArray
 from estimator.effects import Effect, SensorTimeSkew, TorqueDelay
@@ -140,6 +139,8 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
     as late by its definition goes before a delay, whatever the shape of the steps says: no record shows what an IMU and
     a log do between samples. None where segments are too short, and where no fit of either can be made.
     """
+    from scipy.optimize import minimize_scalar  # 0.15 s to import
+
     rate, p = parts[0].rate_hz, mechanism.p
     edge = int(np.ceil(LATEST_S * rate)) + 2
     kept = [k for k, s in enumerate(parts) if len(s.time_s) > 2 * edge + LEAST_SEGMENT // 2]

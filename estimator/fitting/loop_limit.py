@@ -8,7 +8,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
@@ -50,6 +49,8 @@ def limit_met(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
         design = design_rows(signals, mechanism, options)
     except FitError:
         return None
+    from scipy.optimize import minimize  # 0.15 s to import, which a fit without a loop saves
+
     tried = _Tried(signals, design, joint, options)
     known = design.z[:, joint, ~free] @ beta[~free]
     basis, _ = np.linalg.qr(design.z[:, joint, free])

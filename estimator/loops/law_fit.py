@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import stdtr
 
 from daq import FloatArray
@@ -97,6 +96,8 @@ def _regressed(run: LawRun, faults: Found) -> tuple[float, float]:
 
 def fitted(runs: Sequence[LawRun], known: Found, fault: LawFault) -> LawFit:
     """The law with the `known` faults and the likeliest sizes of one more."""
+    from scipy.optimize import minimize
+
     scale = max(float(np.abs(run.input).max()) for run in runs) ** -2 if fault.by_input else 1.0
     tried = []
 

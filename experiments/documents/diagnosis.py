@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from msgspec import UNSET, Meta, Struct, field
 
@@ -31,8 +31,11 @@ from experiments.documents.diagnosis_parts import (
     untestable,
 )
 from experiments.documents.document import Aside, Damaged, Document, From, Number, known
-from experiments.judge import VERDICTS, Headline, answer_words, next_step, verdict_title
+from experiments.judge import VERDICTS, Headline, answer_words, next_step, normal, verdict_title
 from experiments.session import SetAside, damaged_runs, faulty_readings
+
+Intervals = dict[str, tuple[Number, Number]]
+"""Parameter to both ends."""
 
 
 class Rotated(Struct, frozen=True, kw_only=True):
@@ -60,6 +63,19 @@ class Parameters(Struct, frozen=True, kw_only=True):
         default_factory=dict)
     extended_std: Annotated[dict[str, Number], Meta(description="standard deviations of `extended`")] = field(
         default_factory=dict)
+    nominal_ci95: Annotated[Intervals, Meta(description="95 % intervals of `nominal`")] = field(default_factory=dict)
+    extended_ci95: Annotated[Intervals, Meta(description="95 % intervals of `extended`")] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Diagnosis) -> Self:
+        """Values of a diagnosis, and what is known of them."""
+        own: dict[str, dict[str, Any]] = {}
+        for model, values, std in (("nominal", found.nominal, found.nominal_std),
+                                   ("extended", found.extended, found.extended_std)):
+            every = {name: normal(values[name], spread) for name, spread in std.items()}
+            own |= {model: dict(values), f"{model}_std": {name: known(one.std) for name, one in every.items()},
+                    f"{model}_ci95": {name: (known(one.low), known(one.high)) for name, one in every.items()}}
+        return cls(**own)
 
 
 class NotTestable(Struct, frozen=True, kw_only=True):
@@ -143,9 +159,7 @@ class DiagnosisDocument(Document, kw_only=True):
             compared=tuple(Explanation(causes=tuple(
                 Named(effect=effect, joint=contract_joint(effect, joint)) for effect, joint in map(split_key, keys)),
                 error=known(error)) for keys, error in found.compared),
-            parameters=Parameters(nominal=dict(found.nominal), extended=dict(found.extended),
-                                  nominal_std={name: known(std) for name, std in found.nominal_std.items()},
-                                  extended_std={name: known(std) for name, std in found.extended_std.items()}),
+            parameters=Parameters.of(found),
             not_testable=tuple(NotTestable(effect=effect, joint=contract_joint(effect, joint), why=why)
                                for effect, joint, why in untestable(found)),
             runs=Groups(**{group: tuple(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")}),

@@ -11,7 +11,7 @@ import pytest
 
 import legid
 from estimator import Diagnosis as Details
-from experiments.documents import DiagnosisDocument
+from experiments.documents import DiagnosisDocument, finite
 from tests.support.diagnoses import synthetic
 from tests.support.earlier import FOLDER, earlier
 
@@ -36,7 +36,8 @@ def test_what_was_read_is_written_as_it_was() -> None:
     again = legid.Diagnosis.read(EARLY).document
     names = set(FIRST) - {"parameters"}
     assert {key: again[key] for key in names} == {key: FIRST[key] for key in names}
-    assert again["parameters"] == {**FIRST["parameters"], "nominal_std": {}, "extended_std": {}}
+    assert again["parameters"] == {**FIRST["parameters"], **{
+        f"{model}_{what}": {} for model in ("nominal", "extended") for what in ("std", "ci95")}}
 
 
 def test_a_file_has_no_models_and_no_curves(tmp_path: Path) -> None:
@@ -54,3 +55,9 @@ def test_a_document_is_read_as_it_was_made(tmp_path: Path) -> None:
         made = DiagnosisDocument.of(one)
         made.to_json(tmp_path / "d.json")
         assert DiagnosisDocument.read(tmp_path / "d.json") == made
+        given = made.parameters
+        for values, std, ci95 in ((given.nominal, given.nominal_std, given.nominal_ci95),
+                                  (given.extended, given.extended_std, given.extended_ci95)):
+            assert ci95 == {name: pytest.approx((finite(values[name]) - 1.96 * finite(std[name]),
+                                                 finite(values[name]) + 1.96 * finite(std[name])), rel=1e-3, abs=1e-6)
+                            for name in std}
