@@ -6,9 +6,9 @@ S is the weighted sum of squares at the likeliest motion, H the matrix of the la
 equation of motion at two Gauss points an interval, torque samples, sensors, a disturbance's process. J_k are the
 derivatives of interval k's torques by the motion at its end: by it a density of torques becomes one of motions. s_k is
 the share of the joints there whose friction the motion fixes. Where it is free at rest no torque tells the motion, and
-the rows have no part in log det R either: else the sum would depend on the unit of torque. s_k must not depend on a
-level: with the share of the variance that is noise a level that rises by 1 % was worth 11, whatever the data. What all
-models of the same records share is left out.
+R counts in units of the variance of that friction: else the sum would depend on the unit of torque. s_k must not depend
+on a level: with the share of the variance that is noise a level that rises by 1 % was worth 11, whatever the data. What
+all models of the same records share is left out.
 
 The sum of squares at the likeliest motion alone is no likelihood: it rewards every level that shrinks (Neyman and
 Scott, Econometrica 16, 1948). Laplace's approximation: Tierney and Kadane, J. Am. Stat. Assoc. 81, 1986.
@@ -38,19 +38,18 @@ def log_marginal(problem: LatentProblem, state: State) -> float:
 def marginal_at(problem: LatentProblem, state: State, point: Linearised, solved: Swept, squares: float) -> float:
     """`log_marginal` by the linearisation `point` and its elimination `solved`, where least `squares` are known."""
     noise = state.noise
-    weight = problem.motion_weight(noise)
-    rest = problem.stiction(noise)
-    fixed = np.ones((problem.left.size, problem.n))
-    if rest is not None:
-        fixed -= rest[problem.left, 1] / np.maximum(rest[:, 1].max(axis=0), 1e-300)
+    weight, rest = problem.motion_weight(noise), problem.stiction(noise)
+    free = np.zeros_like(weight) if rest is None else rest[problem.left, 1].T
+    open_ = free > 0.0
     if noise.torque_correlation is None:
         torque = float(np.sum(np.log(problem.torque_variance(noise))))
     else:
         precision = noise.torque_precision(problem.torque_variance(noise))
         torque = -problem.total / len(precision) * float(np.sum(np.linalg.slogdet(precision)[1]))
-    rows = torque - 4.0 * float(np.sum(np.log(weight) * fixed.T)) + 2.0 * problem.log_sensors(noise)
+    rows = torque - 2.0 * float(np.sum(np.log(weight**2 * np.where(open_, free, 1.0))))
+    rows += 2.0 * problem.log_sensors(noise)
     if problem.disturbed:
         rows += Process.of(noise, problem.dt).log_determinant(problem.ends)
     ahead = GaussRows(problem, state.x, state.beta[: problem.mechanism.p], point.extra).ahead()
     return (-0.5 * (squares + solved.log_determinant() + rows)
-            + float(np.linalg.slogdet(ahead)[1] @ fixed.mean(axis=1)))
+            + float(np.linalg.slogdet(ahead)[1] @ (1.0 - open_.mean(axis=0))))
