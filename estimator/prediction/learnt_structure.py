@@ -76,8 +76,10 @@ class Structure:
         return None if found is None else (1.0 - found[1], 1.0 - found[0])
 
     def holds(self, material: float) -> bool:
-        """Whether it removes a `material` share of the error, and surely some."""
-        return self.removed_ci95 is not None and self.removed_ci95[0] > 0.0 and self.removed >= material
+        """Whether it removes a `material` share of the error, surely some, and at no horizon surely adds to it."""
+        every = [paired_error(self.table, slice(h, h + 1)).ci95 for h in range(len(self.table.horizons_s))]
+        return (self.removed_ci95 is not None and self.removed_ci95[0] > 0.0 and self.removed >= material
+                and not any(ci95 is not None and ci95[0] > 1.0 for ci95 in every))
 
     @property
     def laws(self) -> tuple[StateTorque, ...]:
@@ -144,15 +146,15 @@ def _torques(samples: Samples, model: FittedModel) -> list[LearntTorque]:
     return [one for one in found if one is not None]
 
 
-def paired_error(table: PredictionTable) -> Ratio:
-    """Rms error of the second model over that of the first, over all judged channels and horizons, paired over runs.
+def paired_error(table: PredictionTable, horizons: slice = slice(None)) -> Ratio:
+    """Rms error of the second model over that of the first, over all judged channels and `horizons`, paired over runs.
 
     Each channel and horizon counts in units of the first model's error; each squared error is capped at the sensor's
     variance.
     """
     which = [table.channels.index(c) for c in table.judged]
     sums = np.where(table.samples[:, :, None] > 0, table.capped, 0.0) * table.samples[:, :, None]
-    sums = sums[:, :, which]
+    sums = sums[:, :, which, horizons]
     units = np.maximum(sums[0].sum(axis=0), 1e-300)
     before, after = (sums / units).sum(axis=(2, 3))
     return paired_ratio(after, before, table.run)

@@ -139,6 +139,13 @@ def test_it_reduces_the_error_of_runs_that_did_not_teach_it() -> None:
     assert after < 0.5 * before
 
 
+def test_it_is_not_offered_where_runs_err_more_at_one_horizon() -> None:
+    found = hidden_magnet()
+    squares = found.table.squares.copy()
+    squares[1, :, :, 0] = 1.3 * squares[0, :, :, 0]
+    assert found.holds(0.1) and not replace(found, table=replace(found.table, squares=squares)).holds(0.1)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_healthy_leg_has_none(seed: int) -> None:
     found = find_structure(true_model(), runs_of(None, 10 + seed, 4, 3.0), OPTIONS)
