@@ -1,5 +1,7 @@
+from .dataset import BoolArray as BoolArray
 from .dataset import Dataset as Dataset
 from .dataset import FloatArray as FloatArray
+from .dataset import IndexArray as IndexArray
 from .errors import InputError as InputError
 from .errors import WorkError as WorkError
 from .errors import did_you_mean as did_you_mean

@@ -14,9 +14,8 @@ from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.calibration.units import TRIED, TWICE, correction
 from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
 from estimator.fitting import faults, free_mask
@@ -181,7 +180,7 @@ class Equations(NamedTuple):
 
     grams: FloatArray
     """(W, n, k + 1, k + 1) mean products of the free parameters' columns and, behind them, of what these explain."""
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(p + constants,)"""
     start: FloatArray
     """(p + constants,) of which those that are not free are kept"""
@@ -243,7 +242,7 @@ class SlowRows(NamedTuple):
 
     parts: list[tuple[int, FloatArray]]
     """First sample of each segment that is long enough, and (L, n, k + 1) its rows without their ends."""
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(p + constants,)"""
     start: FloatArray
     """(p + constants,)"""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.fitting import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -89,7 +89,7 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
             return None
         differ = [j for j, one in zip(joints, there) if one]
         left = _left(datasets, mechanism, options, find_zeros(datasets, mechanism, options, differ))
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return None
     if left.min() > 1.0 - LEAST_FALL:
         return None
@@ -114,7 +114,7 @@ def _with_common(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
                  ) -> Zeros | None:
     try:
         return find_zeros(datasets, mechanism, options, joints, common=True)
-    except (FitError, np.linalg.LinAlgError, ValueError):
+    except (*FIT_ERRORS, ValueError):
         return None
 
 

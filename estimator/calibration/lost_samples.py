@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset, FloatArray, IndexArray
 from estimator.calibration.column_faults import (
     Motion,
     as_it_is,
@@ -133,7 +132,7 @@ class _Rows:
         parts = self.rows[:self.blocks * self.length].reshape(self.blocks, self.length, *self.rows.shape[1:])
         self.sums: FloatArray = np.cumsum(np.einsum("wlna,wlnb->wnab", parts, parts), axis=0)
 
-    def left(self, behind: _Rows, blocks: NDArray[np.intp]) -> FloatArray:
+    def left(self, behind: _Rows, blocks: IndexArray) -> FloatArray:
         """Sums of squares of the residual with the rows of `behind` from each of the `blocks` on, without those around
         it."""
         gram = self._gram(behind, blocks)
@@ -152,7 +151,7 @@ class _Rows:
         torque = self.sums[-1][:, -1, -1]
         return np.asarray(1.0 / np.maximum(torque, 0.1 * max(float(torque.max()), 1e-300)))
 
-    def _gram(self, behind: _Rows, block: np.intp | NDArray[np.intp]) -> FloatArray:
+    def _gram(self, behind: _Rows, block: np.intp | IndexArray) -> FloatArray:
         total = behind.sums[-1] - behind.sums[block + AROUND - 1] + self.sums[block - AROUND - 1]
         return np.asarray(np.einsum("n,...nab->...ab", self.weights, total))
 

@@ -28,7 +28,7 @@ from estimator.change.verdict import (
     likeliest_changes,
     with_errors,
 )
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.loops import LawSizes, changed_law, volts_of, without_changes
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -150,7 +150,7 @@ def _timed(compare: Callable[[], Change]) -> Change:
     try:
         with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
             found = compare()
-    except (FitError, np.linalg.LinAlgError) as error:
+    except FIT_ERRORS as error:
         found = Change("fit_failed", f"No comparison: {error}.")
     return replace(found, wall_s=time.perf_counter() - begin)
 
@@ -165,6 +165,6 @@ def _relinearised(scored: Callable[[FloatArray | None], tuple[Scored, list[Fold]
         basis = basis_of(found[0].groups, likeliest_changes(found[0], order))
         try:
             found = scored(basis @ found[0].contrast.along(basis).size())
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             break
     return found

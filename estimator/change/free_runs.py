@@ -15,7 +15,7 @@ from daq import Dataset, FloatArray
 from estimator.change.noise import LogLevels, compare_noise
 from estimator.change.result import LevelChange
 from estimator.change.scores import ReferenceFit
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.prediction import SHORT_S, predict_run, smooth, tabulate
 from estimator.score import Score, total
 
@@ -30,7 +30,7 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
     for k, run in enumerate(runs):
         try:
             errors = free_run_errors(fit, run, _without(fit, scores, k) if scores else fit.model.beta)
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             return LogLevels(len(runs), {})
         for name, error in errors.items():
             found.setdefault(name, []).append(error)

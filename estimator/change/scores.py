@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.effects import Effect, EncoderOffset, battery, library
 from estimator.errors import FitError
 from estimator.fitting import fit_nominal, free_mask, iterate, noise_floors, start_state
@@ -27,7 +26,7 @@ class ReferenceFit:
 
     model: FittedModel
     options: FitOptions
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(p,) parameters that were estimated"""
     candidates: tuple[Candidate, ...]
     """Of the library, then generic terms."""

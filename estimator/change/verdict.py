@@ -16,7 +16,7 @@ from estimator.change.payload import fieller
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange, Size
 from estimator.change.scores import ReferenceFit
 from estimator.change.structure import Structure
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.score import ALPHA, HIDDEN, Score
 
 POWER = 0.8
@@ -123,7 +123,7 @@ def with_errors(found: Change, rise: Callable[[], LevelChange | None], words: Wo
     warning where that cannot be asked."""
     try:
         larger = rise()
-    except (FitError, np.linalg.LinAlgError) as error:
+    except FIT_ERRORS as error:
         return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, str(error)))))
     if larger is None:
         return found

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import GENERIC_TERMS, MATERIAL
 from estimator.diagnosis.explanation import Explanation, admissible, outperforms
@@ -26,7 +25,7 @@ from estimator.diagnosis.model import (
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.result import CandidateScore
 from estimator.effects import Effect
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.likelihood import Candidate
 from estimator.prediction import PredictedRun
 from estimator.score import (
@@ -54,7 +53,7 @@ class DiagnosisContext:
     """Candidates, how they are tested, and the nominal model: all steps of a search share them."""
 
     candidates: list[Candidate]
-    columns: list[NDArray[np.intp]]
+    columns: list[IndexArray]
     named: int
     """The first so many candidates are of the library."""
     bias: list[FloatArray]
@@ -218,7 +217,7 @@ def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests)
     for count in range(len(start), len(model.effects), -1):  # fewer where all together do not converge
         try:
             return refit(model, start[:count], GENERIC_STEPS)
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             continue
     return None
 
@@ -229,7 +228,7 @@ def with_generic(context: DiagnosisContext, explanation: Explanation) -> Model:
         context, explanation.model, explanation.left) or explanation.model)
 
 
-def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:
+def _columns(context: DiagnosisContext, which: Sequence[int]) -> IndexArray:
     return np.concatenate([context.columns[i] for i in which])
 
 

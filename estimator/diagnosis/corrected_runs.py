@@ -15,7 +15,7 @@ import numpy as np
 from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.model import Model, nearby, nominal_model, refit, run_states, score_train, smooth
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.fitting import SmallFault, small_faults, without_faults
 from estimator.score import BEYOND, Score, SensorFaults
 from estimator.signals import SignalSet
@@ -56,7 +56,7 @@ def corrected(context: DiagnosisContext, model: Model, scores: Sequence[Score]) 
         try:
             nominal = nominal_model(without(model, small_faults(sensors, step)), nearby(nominal))
             model = refit(nominal, list(zip(model.effects, model.sizes()))) if model.effects else nominal
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             return None
         scores = unbiased(context, model, score_train(model, context.candidates))
     return Corrected(nominal, tuple(small_faults(sensors, taken))) if taken.any() else None

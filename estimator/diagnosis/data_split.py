@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset, FloatArray, IndexArray
 from estimator.diagnosis.decision_rule import LEAST_S
 from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
@@ -63,7 +62,7 @@ class RunSplit:
         return found if len(found) > 1 else [self.train]
 
     @property
-    def parts(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    def parts(self) -> Iterator[tuple[int, IndexArray]]:
         """Each train run with its samples among those of all."""
         lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in self.train]
         return zip(self.train, np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.result import BudgetRow
 from estimator.diagnosis.verdict import Answer
@@ -18,7 +17,7 @@ def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
 
     row, without = (0, ()) if answer is None else (answer.row, answer.without)
 
-    def shares(blocks: NDArray[np.intp] | None) -> FloatArray:
+    def shares(blocks: IndexArray | None) -> FloatArray:
         """(2, rows) of the error beyond noise, and of the whole error."""
         excess, whole, after = table.excess(0, blocks), table.error(0, blocks) ** 2, table.error(row, blocks) ** 2
         if excess <= 0.0:

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.diagnosis.decision_rule import DECIDING_S, DRAWS, WHOLE_RUNS
 from estimator.diagnosis.model import Model, smooth
 from estimator.parallel import parallel_map
@@ -43,25 +42,25 @@ class ErrorTable:
     """(M, B, K) mean over a block, at most the column's bound, in units of what noise alone leaves in that column"""
     agreement: FloatArray
     """(M, R) fall of -2 log likelihood of each run from the first model to this one, both under one noise"""
-    runs: NDArray[np.intp]
+    runs: IndexArray
     """(B,) the run that each block belongs to, counted from 0"""
-    draws: NDArray[np.intp]
+    draws: IndexArray
     """(D, B) blocks of resampled runs"""
     floor: FloatArray
     """(K,) mean squared error that noise alone leaves in each column"""
     bound: FloatArray
     """(K,) variance of each column's sensor over these runs: who knows nothing of the leg errs by it"""
 
-    def error(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
+    def error(self, model: int, blocks: IndexArray | None = None) -> float:
         """Root mean square of a model's error over all columns, inf where it is no number; 1 is noise alone."""
         return float(self.errors(model, np.arange(self.values.shape[1]) if blocks is None else blocks))
 
-    def errors(self, model: int, draws: NDArray[np.intp]) -> FloatArray:
+    def errors(self, model: int, draws: IndexArray) -> FloatArray:
         """(...) the same for each draw of blocks (..., B)."""
         found = np.sqrt(self.values[model].mean(axis=-1)[draws].mean(axis=-1))
         return np.where(np.isfinite(found), found, np.inf)
 
-    def excess(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
+    def excess(self, model: int, blocks: IndexArray | None = None) -> float:
         """Mean square beyond noise alone."""
         return max(self.error(model, blocks) ** 2 - 1.0, 0.0)
 

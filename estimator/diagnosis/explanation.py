@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.tolerances import with_tolerances
@@ -36,7 +35,7 @@ class Explanation:
     """rms error of its free runs over a second on the train runs, over the nominal model's, sensors alike"""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
-    determined: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    determined: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """(m,) whether these runs determine each of its parameters; see `estimator.score`"""
     further: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(K,) gain of each candidate in addition to it; zero for its own effects"""
@@ -129,7 +128,7 @@ def undetermined(explanation: Explanation) -> list[bool]:
             for effect, here in zip(model.named, model.places())]
 
 
-def significant(explanation: Explanation, which: int) -> NDArray[np.bool_]:
+def significant(explanation: Explanation, which: int) -> BoolArray:
     """For each size of one effect, whether it is determined and differs from zero by `least_sigmas`.
 
     These allow for its scatter between runs, as its interval does, and for that of all tests.

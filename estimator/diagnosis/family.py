@@ -24,7 +24,7 @@ from estimator.diagnosis.search import explained, pairs_of, with_one_more
 from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
 from estimator.effects import SensorTimeSkew
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise
 from estimator.score import NO_TESTS
@@ -110,7 +110,7 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
         return explanation
     try:
         again = refit(model, [*zip(model.effects, model.sizes()), (skew, np.zeros(1))])
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return explanation
     if not again.state.converged or abs(again.state.beta[-1]) > bound:
         return explanation
@@ -162,7 +162,7 @@ def without_each(context: DiagnosisContext, whole: Explanation, known: Sequence[
         if same is None:
             try:
                 model = refit(whole.model, [*pairs[:k], *pairs[k + 1 :]])
-            except (FitError, np.linalg.LinAlgError):
+            except FIT_ERRORS:
                 return []
             (same,) = explained(context, [model])
         out.append(same)
@@ -231,7 +231,7 @@ def hidden_motion(rows: _Rows, row: int) -> Hidden | None:
     text = in_words(*max(noisy.items(), key=lambda one: one[1]))
     try:
         return Hidden(row, rows.of(with_declared_noise(model)), text, stated)
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return Hidden(row, None, text, stated)
 
 
@@ -272,7 +272,7 @@ def measure_all(family: FittedFamily, first: ErrorTable, rng: np.random.Generato
         return None
     try:
         turns = parallel_map(turn, len(others), split.workers)
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return None
     count, row = len(family.models), NOMINAL if family.rows.answer is None else family.rows.answer.row
     tables = [first, *(spread_out(table, core, count) for table, _ in turns)]

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.error_table import ErrorTable, floor_of, judged, sensors_of
 from estimator.diagnosis.model import Model, smooth
@@ -88,7 +87,7 @@ def _trace(run: PredictedRun, names: tuple[str, ...]) -> Trace:
     return Trace(run.run, run.time_s, *(dict(zip(names, y)) for y in (measured, before, after)))
 
 
-def _closed(table: ErrorTable, blocks: NDArray[np.intp]) -> float | None:
+def _closed(table: ErrorTable, blocks: IndexArray) -> float | None:
     """Share of the gap in mean squared error, in units of the noise floor, that the extension closes; None where there
     is no gap."""
     before, after = table.error(0, blocks) ** 2, table.error(1, blocks) ** 2

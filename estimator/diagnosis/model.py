@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import DECIDING_S, EDGE, REPLICATED_SAMPLES
 from estimator.effects import Effect
@@ -121,7 +120,7 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
     free, beta = free_mask(split.mechanism, split.options)
     held = np.zeros_like(free)
     blank = split.problem(split.train, np.zeros((n, 2)))
-    ways: list[tuple[Callable[..., State], list[NDArray[np.bool_]]]] = [
+    ways: list[tuple[Callable[..., State], list[BoolArray]]] = [
         (start_state, [free]), (gentle_start, [held, free]), (start_state, [held])]
     if near is not None and len(near.x.q) == blank.total:
         ways[0] = lambda *_: near, [] if near.converged else [free]

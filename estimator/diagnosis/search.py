@@ -45,7 +45,7 @@ from estimator.diagnosis.model import (
     refit,
 )
 from estimator.diagnosis.train_errors import train_table
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
 from estimator.prediction import SHORT_S, PredictedRun, tabulate, together
@@ -232,7 +232,7 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
     for model in (begin, context.afresh):
         try:
             return refit(model, start, steps, hold_shapes=True)
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             continue
     return None
 
@@ -258,7 +258,7 @@ def fit_free(held: Model) -> Model:
                 found = refit(found, pairs_of(found), FREE_STEPS)
             return max(found, held, key=lambda m: m.log_marginal)  # a shape can diverge
         return found
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return held
 
 
@@ -284,7 +284,7 @@ def climb_discrete(model: Model) -> Model:
                     try:
                         found = refit(model, [*pairs[:k], (effect, moved), *pairs[k + 1 :]], HELD_STEPS,
                                       hold_shapes=True)
-                    except (FitError, np.linalg.LinAlgError):
+                    except FIT_ERRORS:
                         continue
                     likeliest = max(likeliest, found, key=lambda m: m.log_marginal)
         if likeliest is model:

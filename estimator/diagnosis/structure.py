@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.prediction import RunSignals, find_structure
 
 
@@ -30,7 +28,7 @@ def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
             for name, signals, start in zip(split.names, split.runs, split.starts_s)]
     try:
         structure = find_structure(model, runs, replace(split.options, noise=dict(split.known)), split.workers)
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return found
     if structure is None:
         return found

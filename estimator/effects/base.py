@@ -14,9 +14,8 @@ from itertools import product
 from typing import ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects.commanded import Commanded
 from estimator.errors import FitError
 from estimator.model import Mechanism
@@ -111,10 +110,10 @@ class View:
     beta: FloatArray
     gauss: Points
     samples: Points
-    left: NDArray[np.intp]
+    left: IndexArray
     weights: tuple[float, float]
     """Fractions of an interval at which its Gauss points lie."""
-    starts: NDArray[np.intp]
+    starts: IndexArray
     """First sample of each gap-free segment."""
     dt_s: float
     angle_range: FloatArray
@@ -279,7 +278,7 @@ class Effect(ABC):
             out[i] = side * np.clip(side * out[i], *self._range(shape))
         return out
 
-    def at_limits(self, size: FloatArray) -> NDArray[np.bool_]:
+    def at_limits(self, size: FloatArray) -> BoolArray:
         """For each shape, whether it is at a limit of its range: what the data would have there is not to be had."""
         limits = [self._range(shape) for shape in self.shapes]
         return np.array([not shape.discrete and (abs(s) <= low or abs(s) >= high)
@@ -355,7 +354,7 @@ class StateEffect(LawEffect):
                    dt_s: float) -> tuple[FloatArray, FloatArray]:
         """(e, target) over intervals, by rate and smoothed sign (...) at both ends."""
 
-    def states(self, v: FloatArray, sign: FloatArray, starts: NDArray[np.intp], size: FloatArray, dt_s: float
+    def states(self, v: FloatArray, sign: FloatArray, starts: IndexArray, size: FloatArray, dt_s: float
                ) -> FloatArray:
         """z (N,) along the rates v (N,) of segments that begin at samples `starts`: one bidiagonal solve."""
         from scipy.linalg import solve_banded

@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray, Loop
+from daq import BoolArray, FloatArray, IndexArray, Loop
 from estimator.signals import monotone
 
 
@@ -21,7 +20,7 @@ class Told:
     """(n, N) [rad]"""
     rate: FloatArray
     """(n, N) [rad/s]"""
-    first: NDArray[np.intp]
+    first: IndexArray
     """(N,) first sample of each sample's segment"""
     dt_s: float
 
@@ -82,7 +81,7 @@ class Commanded:
         return cls(loop, supply, summed, place, told, told.at(place, late))
 
     @cached_property
-    def follows(self) -> NDArray[np.bool_]:
+    def follows(self) -> BoolArray:
         """(n,) joints that have a loop."""
         gain = np.asarray(self.loop.gain)
         return np.asarray(np.isfinite(gain).reshape(len(gain), -1).any(axis=1))

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.effects.base import Effect, Perturbation, View
 from estimator.effects.commanded import Commanded
 
 
-def summed(error: FloatArray, first: NDArray[np.intp], dt_s: float) -> FloatArray:
+def summed(error: FloatArray, first: IndexArray, dt_s: float) -> FloatArray:
     """(n, N) integral of an error (n, N) [rad s] by trapezia, zero at the sample `first` (N,) of each part."""
     mean = 0.5 * dt_s * (error[:, 1:] + error[:, :-1])
     whole = np.concatenate([np.zeros((len(error), 1)), np.cumsum(mean, axis=1)], axis=1)
@@ -26,7 +25,7 @@ class RecordedMotion:
 
     q: FloatArray
     """(n, N)"""
-    first: NDArray[np.intp]
+    first: IndexArray
     """(N,) first sample of each sample's simulated piece: there a simulation has the record's integral"""
 
 

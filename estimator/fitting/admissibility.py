@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +28,6 @@ LENGTHS_M = (0.005, 10.0)
 """Lengths that a link and its equivalent pendulum may have."""
 ANGLES = 500
 """Samples of a motion at which the mass matrix is looked at."""
-Fit = Callable[[Sequence[Dataset], Mechanism, FitOptions, Method], FitResult]
 
 
 def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> tuple[str, ...]:
@@ -88,15 +87,15 @@ def strange_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> 
     return found
 
 
-def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle",
-                   by: Fit = fit) -> FitResult:
+def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle"
+                   ) -> FitResult:
     """`fit` with levels that may not be negative held at zero where they come out so, and its findings.
 
     One level is held at a time, that of the most standard deviations below zero first. Its interval then reaches from
     zero to `upper_end`. Judged is by the noise alone: what runs disagree about excuses no set-up that is
-    wrong. Raises `FitError` as `by` does.
+    wrong. Raises `FitError` as `fit` does.
     """
-    result = by(datasets, mechanism, options, method)
+    result = fit(datasets, mechanism, options, method)
     limits: dict[str, float] = {}
     findings: list[Finding] = []
     while (k := _most_negative(result)) is not None:
@@ -112,7 +111,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
                                 f"{low}: fixed at 0, the others fitted again{scatter}"))
         held = replace(options, fixed={**options.fixed, **dict.fromkeys([*limits, name], 0.0)})
         try:
-            result = by(datasets, mechanism, held, method)
+            result = fit(datasets, mechanism, held, method)
         except FitError as error:
             findings[-1] = Finding("warning", "level_at_zero", f"{low}; with 0 in its place there is no fit ({error})")
             break

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import BoolArray
 from estimator.effects import Effect
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.fitting.disturbance import (
     Disturbance,
     disturbance_likelihood,
@@ -33,7 +33,7 @@ TRIED = 4
 """Effects that are tried, by the likelihood that their scores promise."""
 
 
-def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
                          options: FitOptions, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
     """The listed effect that leaves less than MOST_LEFT of the slow part of a disturbance; None: there is none.
 
@@ -52,7 +52,7 @@ def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[Sig
             again = iterate(wide, begin, sought, options, noise_floors(wide, wide.mechanism, state.beta))
             likelihood = disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect))
             left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             continue
         with_effect = FittedModel(kept.mechanism, kept.hold, again.beta, (effect,), gear_ratio=options.gear_ratio)
         if _slow_part(left) < MOST_LEFT * _slow_part(found) and not predicts_worse(
@@ -74,7 +74,7 @@ def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalS
     return extended(problem, parts, [effect]).with_disturbance()
 
 
-def _promising(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+def _promising(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
                options: FitOptions) -> list[Effect]:
     """Effects of usual shapes whose scores promise most likelihood, the first TRIED."""
     candidates = small_effects(problem)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import IndexArray
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 
-def excerpt(signals: Sequence[SignalSet], most: float) -> tuple[list[SignalSet], NDArray[np.intp]]:
+def excerpt(signals: Sequence[SignalSet], most: float) -> tuple[list[SignalSet], IndexArray]:
     """Segments of about `most` samples in all, each the same share of its own, and the numbers (k,) of these samples in
     the whole record."""
     lengths = np.array([len(s.time_s) for s in signals])

@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.fitting.identifiability import LARGEST_STD, name_directions, plausible_sizes, uncertain_directions
 from estimator.fitting.prior import combined, prior_at
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
@@ -65,7 +64,7 @@ def undetermined_by_design(datasets: Sequence[Dataset], mechanism: Mechanism, op
 
 
 def unexcited_directions(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions,
-                         free: NDArray[np.bool_], least_power: float, regressor: FloatArray) -> FloatArray:
+                         free: BoolArray, least_power: float, regressor: FloatArray) -> FloatArray:
     """(p, k) directions of beta along which `regressor` (m, n, p) has less than `least_power` times noise's power."""
     rng = np.random.default_rng(0)
     index = np.flatnonzero(free)

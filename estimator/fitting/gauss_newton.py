@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import BoolArray, IndexArray
 from estimator.errors import FitError
 from estimator.fitting.damping import SwingDamping, shortened
 from estimator.fitting.newton_step import DIVERGED, Step, Taken, newton_step
@@ -86,13 +86,13 @@ class Policies:
         return cls(NoiseUpdate(options, floors, seeks_smoothing, levels_by_run), SmallSteps(rough), prior=options.prior)
 
 
-def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
+def iterate(problem: LatentProblem, state: State, free: BoolArray, options: FitOptions,
             floors: Noise | None, limit: int = MAX_ITERATIONS) -> State:
     """`descend` by the usual policies; `floors` None keeps the noise levels. Raises `FitError`."""
     return descend(problem, state, free, Policies.of(options, floors), limit)
 
 
-def descend(problem: LatentProblem, state: State, free: NDArray[np.bool_], by: Policies, limit: int = MAX_ITERATIONS
+def descend(problem: LatentProblem, state: State, free: BoolArray, by: Policies, limit: int = MAX_ITERATIONS
             ) -> State:
     """State at which Gauss-Newton on latents and the `free` parameters ends after up to `limit` steps.
 
@@ -121,7 +121,7 @@ def descend(problem: LatentProblem, state: State, free: NDArray[np.bool_], by: P
     return state
 
 
-def _linearised(problem: LatentProblem, state: State, index: NDArray[np.intp], prior: Known) -> Linearised:
+def _linearised(problem: LatentProblem, state: State, index: IndexArray, prior: Known) -> Linearised:
     """The normal equations at a state, without parameters where none is free."""
     if not index.size:
         return problem.motion_equations(state.x, state.beta, state.noise)
@@ -132,7 +132,7 @@ def _linearised(problem: LatentProblem, state: State, index: NDArray[np.intp], p
     return point
 
 
-def _eliminated(point: Linearised, index: NDArray[np.intp]) -> Swept:
+def _eliminated(point: Linearised, index: IndexArray) -> Swept:
     try:
         return eliminate(point.chain)
     except np.linalg.LinAlgError:
@@ -140,7 +140,7 @@ def _eliminated(point: Linearised, index: NDArray[np.intp]) -> Swept:
                        "the equations of the motion became singular") from None
 
 
-def _move(problem: LatentProblem, state: State, step: Step, index: NDArray[np.intp], share: float) -> float:
+def _move(problem: LatentProblem, state: State, step: Step, index: IndexArray, share: float) -> float:
     """Take a `share` of a step; returns its length in standard deviations."""
     angles = step.latents[:, : problem.n]
     damping = shortened(angles, share)

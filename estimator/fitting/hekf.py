@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.noise_levels import first_levels
@@ -51,7 +50,7 @@ class Filtered:
     """(R, 2 n + p) angles, rates, beta"""
     covariance: FloatArray
     """(R, 2 n + p, 2 n + p)"""
-    lost: NDArray[np.bool_]
+    lost: BoolArray
     """(R,) failed to integrate on the way"""
 
 
@@ -60,7 +59,7 @@ class Filter:
     """The augmented model (69), (70) of one mechanism and sensor path, for R records at once."""
 
     mechanism: Mechanism
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(p,) parameters that are estimated"""
     dt_s: float
     hold: str
@@ -211,7 +210,7 @@ class Start:
     sigma: FloatArray
 
 
-def first_estimate(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def first_estimate(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: BoolArray,
                    beta: FloatArray) -> Start:
     """WLS-FCD on one segment."""
     design = design_rows([signals], mechanism, options)
@@ -219,7 +218,7 @@ def first_estimate(signals: SignalSet, mechanism: Mechanism, options: FitOptions
     return Start(design.motions[0], beta, sigma)
 
 
-def build_filter(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def build_filter(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: BoolArray,
                  sigma: FloatArray) -> Filter:
     """Noise as declared in `options`, otherwise as the segment shows it; `sigma` (n,) torque residuals."""
     imu = bool(signals.imu)
@@ -281,7 +280,7 @@ def fit_hekf(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     return hekf_result(signals, mechanism, options, free, *handed, time.perf_counter() - begun)
 
 
-def hekf_result(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def hekf_result(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
                 beta: FloatArray, covariance: FloatArray, wall_s: float) -> FitResult:
     """The filter's last estimate as a `FitResult`, with the torque residual of the differenced motion."""
     design = design_rows(signals, mechanism, options)

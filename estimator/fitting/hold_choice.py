@@ -20,9 +20,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import Effect, SensorTimeSkew, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
@@ -87,7 +86,7 @@ class HoldChoice(NamedTuple):
         return f"the likeliest; the next, '{self.next}', has a log-likelihood {self.margin:.3g} below"
 
 
-def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State, free: NDArray[np.bool_],
+def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State, free: BoolArray,
                 fitted: LatentProblem, options: FitOptions) -> HoldChoice:
     """The likeliest of `TRIED` given the fit of one of them; parameters that are not `free` stay."""
     total = fitted.total
@@ -132,7 +131,7 @@ def _tried(signals: Sequence[SignalSet]) -> tuple[str, ...]:
 
 
 def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, delays: tuple[Effect, ...],
-             free: NDArray[np.intp], tried: Sequence[str]) -> HoldChoice | None:
+             free: IndexArray, tried: Sequence[str]) -> HoldChoice | None:
     """The likelier of a held and a smooth torque, each with its likeliest delay.
 
     `TorqueDelay` delays the smooth one. The held one moves by whole samples, and steps within a sample. A hold that is
@@ -192,7 +191,7 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
     return HoldChoice(FIRST, -ahead, HELD, centre)
 
 
-def _freed(problem: LatentProblem, begin: State, free: NDArray[np.bool_], options: FitOptions) -> State:
+def _freed(problem: LatentProblem, begin: State, free: BoolArray, options: FitOptions) -> State:
     """`begin` after some steps with free delays. Its noise levels no longer hold what a delay explains."""
     try:
         return iterate(problem, begin, free, replace(options, prior={}), noise_floors(
@@ -235,7 +234,7 @@ class _Runner:
     x: Latents
     beta: FloatArray
     noise: Noise
-    free: NDArray[np.intp]
+    free: IndexArray
 
     def step(self, delays: bool = True) -> _Evidence:
         """Evidence predicted for the optimum; one Gauss-Newton step. `delays`: the first effect is the torque's.

@@ -7,9 +7,8 @@ without this data noticing.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.model import Mechanism
 from estimator.result import Combination
 
@@ -24,7 +23,7 @@ SMALL_SHARE = 0.1
 
 
 def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
-                 free: NDArray[np.bool_]) -> tuple[Combination, ...]:
+                 free: BoolArray) -> tuple[Combination, ...]:
     """Names of parameters or combinations whose uncertainty exceeds what the rest of the model makes plausible.
 
     The covariance (p, p) is judged in the units of `plausible_sizes`.
@@ -39,7 +38,7 @@ def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
                            unseen | (std > LARGEST_STD * scale))
 
 
-def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: BoolArray) -> FloatArray:
     """(p, k) orthonormal, in units of `scale` (p,): those with a standard deviation above `LARGEST_STD`.
 
     A free parameter without any variance was not seen at all: its column of the regressor is zero.
@@ -55,7 +54,7 @@ def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArra
 
 
 def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray,
-                    wide: NDArray[np.bool_] | None = None) -> tuple[Combination, ...]:
+                    wide: BoolArray | None = None) -> tuple[Combination, ...]:
     """One combination for each independent direction (p, k), given in units of `scale` (p,).
 
     `wide` (p,) says whose own standard deviation is too large. Where the leader's is, a name leaves out the others
@@ -104,7 +103,7 @@ def plausible_sizes(mechanism: Mechanism, beta: FloatArray, std: FloatArray | No
     return scale
 
 
-def _in_group_of(mechanism: Mechanism, sure: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_group_of(mechanism: Mechanism, sure: BoolArray) -> BoolArray:
     """(p,) whether a parameter is judged together with one that is `sure` (p,)."""
     terms = np.array(["inertia" if p.term == "rotor" else p.term for p in mechanism.parameters])
     return np.isin(terms, terms[sure])

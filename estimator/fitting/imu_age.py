@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.effects import SensorTimeSkew
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.loop_terms import extended
@@ -36,7 +35,7 @@ EXCERPT = 4000
 """Most samples that are looked at, of each segment its first part."""
 
 
-def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
               beta: FloatArray) -> float:
     """Age of the IMU [s], negative where it is early; 0 without an IMU, and where no age has a sharply least residual.
     """
@@ -56,7 +55,7 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     ages = np.arange(EARLIEST_S, LATEST_S + 0.5 * STEP_S, STEP_S)
     try:
         costs = np.array([cost(float(age)) for age in ages])
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return 0.0
     k = int(np.argmin(costs))
     if not NEAR <= k < len(ages) - NEAR or min(costs[k - NEAR], costs[k + NEAR]) < costs[k] + SHARP:
@@ -65,7 +64,7 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
                options: FitOptions, floors: Noise, bound_s: float, age_s: float = 0.0
                ) -> tuple[State, float | None, str]:
     """`state` with the IMU's time line free against the controller's, and a sentence about it.

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.prior import combined
 from estimator.fitting.wls import driven_first, stack_regressors, weighted_least_squares
@@ -24,7 +23,7 @@ GENTLE = 0.15
 
 
 def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-                free: NDArray[np.bool_], beta: FloatArray) -> State:
+                free: BoolArray, beta: FloatArray) -> State:
     """Filtered motion, its least squares fit and rough noise levels."""
     cutoff = options.cutoff(signals[0].rate_hz)
     motions = start_motions(signals, mechanism, options)
@@ -76,7 +75,7 @@ def joint_correlation(mechanism: Mechanism, options: FitOptions) -> FloatArray |
 
 
 def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-                 free: NDArray[np.bool_], beta: FloatArray) -> State:
+                 free: BoolArray, beta: FloatArray) -> State:
     """Start from slow motion alone, with noise levels at its residuals, for a model that is far wrong.
 
     Model error is smallest in slow motion. The usual start ends at beta = 0 there. (Measured on a gear that twists by

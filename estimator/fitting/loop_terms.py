@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray, Loop
+from daq import BoolArray, FloatArray, Loop
 from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
-from estimator.errors import FitError
+from estimator.errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Stage, State, log_marginal
@@ -52,7 +51,7 @@ class Fitted(NamedTuple):
     problem: LatentProblem
     state: State
     signals: Sequence[SignalSet]
-    free: NDArray[np.bool_]
+    free: BoolArray
     options: FitOptions
 
 
@@ -87,7 +86,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     try:
         again = iterate(wide, begin, np.append(fitted.free, ~held), fitted.options,
                         noise_floors(wide, wide.mechanism, state.beta))
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return plain
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
     if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):

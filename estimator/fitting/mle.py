@@ -14,9 +14,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset
+from daq import BoolArray, Dataset
 from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
@@ -177,7 +176,7 @@ def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | No
             "value for each zero crossing of the velocity")
 
 
-def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDArray[np.bool_], options: FitOptions
+def _conflict(problem: LatentProblem, state: State, result: FitResult, free: BoolArray, options: FitOptions
               ) -> float:
     """Standard deviations by which prior and runs disagree; 0 without a prior.
 
@@ -199,7 +198,7 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
-def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
                       options: FitOptions) -> tuple[LatentProblem, State, Effect | None]:
     """The fit with coloured disturbances at the joints that ask for one, and the effect that explains them instead.
 
@@ -236,7 +235,7 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
 
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                 free: NDArray[np.bool_], extra: Extra, options: FitOptions, taken: Sequence[SmallFault]
+                 free: BoolArray, extra: Extra, options: FitOptions, taken: Sequence[SmallFault]
                  ) -> tuple[FitResult, tuple[SmallFault, ...], list[SignalSet]]:
     """`result` with all that one score of each run says; small faults of sensors, and the segments without them.
 
@@ -280,7 +279,7 @@ def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:
 
 
 def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-              state: State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+              state: State, free: BoolArray, wall_s: float) -> FitResult:
     """The fit as others see it."""
     x, beta = state.x, state.beta
     qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)

@@ -19,11 +19,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray, IndexArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.noise_levels import first_levels
@@ -76,9 +75,9 @@ class FreeProblem:
     """(n,)"""
     difference: sparse.csr_array
     """(N, N)"""
-    inner: NDArray[np.intp]
+    inner: IndexArray
     """samples whose differences exist"""
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(p,) parameters that are estimated"""
     given: FloatArray
     """(p,) the values of the others"""

@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
@@ -71,7 +70,7 @@ def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     return find_loop_terms(Fitted(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")), sure)
 
 
-def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
                  beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
     """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times.
 
@@ -85,7 +84,7 @@ def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOpti
     return ([with_earlier_imu(s, age_s) for s in signals], age_s) if credible else (signals, 0.0)
 
 
-def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
                  beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
     """Problem and state of `search_motion` under the stated hold, or the likeliest, which is told; FIRST begins."""
     if options.hold != AUTO:
@@ -98,7 +97,7 @@ def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOpti
     return problem, state, chosen
 
 
-def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
     problem = LatentProblem(signals, mechanism, options.hold)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.errors import FitError
 from estimator.likelihood import Linearised
 from estimator.numerics import Swept, pseudo_inverse
@@ -36,13 +35,13 @@ class Taken(NamedTuple):
     point: Linearised
     solved: Swept
     step: Step
-    free: NDArray[np.intp]
+    free: IndexArray
     """(f,) the free parameters"""
     moved: float
     """Length of what was taken of it, in standard deviations."""
 
 
-def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]) -> Step:
+def newton_step(point: Linearised, solved: Swept, index: IndexArray) -> Step:
     """Step of the latents and of the parameters `index`. Raises `FitError` where they are not finite."""
     product = solved.product()
     information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.effects import SensorEffect, classes
 from estimator.fitting.identifiability import plausible_sizes, uncertain_directions
 from estimator.fitting.prior import body_estimates, prior_at
@@ -100,7 +99,7 @@ def body_unit(name: str) -> str:
     return {"m": "kg", "l": "m", "lc": "m", "I": "kg m^2"}[name.rstrip("0123456789")]
 
 
-def _calibrations(result: FitResult, now: FloatArray, scale: FloatArray, free: NDArray[np.bool_]
+def _calibrations(result: FitResult, now: FloatArray, scale: FloatArray, free: BoolArray
                   ) -> list[Measurement]:
     """One for each source of the budget that can be calibrated: the scale of the torque, and what sensors read."""
     left, found = uncertain_directions(now, scale, free).shape[1], []

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import Effect, library
 from estimator.likelihood import Candidate, LatentProblem, Stage, State
 from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
@@ -47,7 +46,7 @@ def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: 
     return found.with_disturbance() if problem.disturbed else found
 
 
-def omitted_effects(result: FitResult, scores: RunScores, free: NDArray[np.bool_], candidates: Sequence[Candidate]
+def omitted_effects(result: FitResult, scores: RunScores, free: BoolArray, candidates: Sequence[Candidate]
                     ) -> tuple[OmittedEffect, ...]:
     """Effects that the runs show at the optimum, the most significant first; none of a run too short for its scores.
 
@@ -73,7 +72,7 @@ def omitted_effects(result: FitResult, scores: RunScores, free: NDArray[np.bool_
     return tuple(sorted((one for one in found if one.half_widths > MOST_DISAGREEMENT), key=lambda one: one.p_value))
 
 
-def _omitted(effect: Effect, p_value: float, change: FloatArray, result: FitResult, free: NDArray[np.intp]
+def _omitted(effect: Effect, p_value: float, change: FloatArray, result: FitResult, free: IndexArray
              ) -> OmittedEffect:
     """With the parameter that it moves furthest."""
     half = result.shown_half_width[free]

@@ -16,16 +16,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.likelihood import BatchProblem, Noise, Point, Records
 from estimator.model import Collocation, Mechanism
 from estimator.numerics import pseudo_inverse
 from estimator.options import FitOptions
 from estimator.signals import SignalSet
 
-Index = NDArray[np.intp]
+Index = IndexArray
 STARTS: tuple[tuple[int, float | None], ...] = ((3, None), (5, None), (2, 0.5), (2, 1.0), (3, 0.5), (2, 0.2))
 """In the order in which they are tried: polynomial degree of a noisy joint's first motion, and length [m] of the
 uniform rods that are the first body (None: least squares on the first motion, which leads there in few steps where
@@ -63,11 +62,11 @@ class Searched:
     """(R, N, 3 n) latents q, v, u"""
     objective: FloatArray
     """(R,) inf where no start led anywhere"""
-    converged: NDArray[np.bool_]
-    steps: NDArray[np.intp]
+    converged: BoolArray
+    steps: IndexArray
     """(R,) linearisations spent"""
 
-    def put(self, where: Index, other: Searched, better: NDArray[np.bool_]) -> None:
+    def put(self, where: Index, other: Searched, better: BoolArray) -> None:
         """Take over the records of `other`, numbered by `where`, that are `better`."""
         to = where[better]
         for name in ("beta", "covariance", "x", "objective", "converged"):
@@ -293,7 +292,7 @@ def _polish(problem: BatchProblem, records: Records, best: Searched) -> None:
         best.covariance[to] = pseudo_inverse(after.information[lower])
 
 
-def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray) -> NDArray[np.bool_]:
+def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray) -> BoolArray:
     """(R,) the inertia matrix is positive definite all along the motion; looked at on every fourth sample.
 
     Where it is not, the model is no body's, and minima of the sum of squares out there mean nothing.
@@ -305,7 +304,7 @@ def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray) -> NDArray[
 
 
 def _linearise_each(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatArray,
-                    active: Index) -> tuple[Point, NDArray[np.bool_]]:
+                    active: Index) -> tuple[Point, BoolArray]:
     """The point of every active record, and whether it could be solved; one bad record does not stop the others."""
     try:
         return problem.linearise(records.pick(active), x[active], beta[active]), np.ones(active.size, dtype=bool)

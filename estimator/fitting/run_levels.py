@@ -17,9 +17,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.likelihood import LatentProblem, Noise, NoiseScale, unit_scale
 from estimator.options import FitOptions
 from estimator.result import RunNoise
@@ -37,7 +36,7 @@ LEAST_LEFT = 0.02
 """Share of a channel's samples that the latents leave at least."""
 STEP = 2.0
 """Most by which a level changes at once."""
-IntArray = NDArray[np.intp]
+IntArray = IndexArray
 
 
 class Column(NamedTuple):

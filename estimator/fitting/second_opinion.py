@@ -21,10 +21,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset
-from estimator.errors import FitError
+from daq import BoolArray, Dataset
+from estimator.errors import FIT_ERRORS, FitError
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
@@ -90,11 +89,11 @@ def _shoot(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOption
     """`shoot_from`; None where it comes to no end."""
     try:
         return shoot_from(datasets, mechanism, options, result)
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return None
 
 
-def _compared(result: FitResult, shot: Shot, free: NDArray[np.bool_]) -> SecondOpinion:
+def _compared(result: FitResult, shot: Shot, free: BoolArray) -> SecondOpinion:
     """Comparison of `shot` with `result`, without parameters that either leaves open."""
     mechanism = result.mechanism
     open_ = result.open_parameters | _named(undetermined(mechanism, shot.beta, shot.covariance, free))
@@ -154,7 +153,7 @@ def _held_out(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
             held_out = split_signals(test, mechanism, options)
             models = [FittedModel(mechanism, options.hold, one.beta) for one in (first, second)]
             errors.append(errors_ahead(held_out, models, options))
-        except (FitError, np.linalg.LinAlgError):
+        except FIT_ERRORS:
             return None
     error = np.concatenate(errors, axis=1)
     if error.shape[1] < LEAST_SEGMENTS:

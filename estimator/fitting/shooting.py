@@ -27,9 +27,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.shooting_segments import Linear, Segments
 from estimator.model import Mechanism
@@ -117,14 +116,14 @@ class _Point(NamedTuple):
     """(N, n) a motion that obeys the equation, but in segments that are lost"""
     squares: FloatArray
     """(S, C) summed squared residuals"""
-    lost: NDArray[np.bool_]
+    lost: BoolArray
     """(S,) whose simulation diverges: their motion is the one measured, and they count with `LOST`."""
 
 
 class _Search:
     """Gauss-Newton on one problem."""
 
-    def __init__(self, segments: Segments, free: NDArray[np.bool_], q: FloatArray, v: FloatArray) -> None:
+    def __init__(self, segments: Segments, free: BoolArray, q: FloatArray, v: FloatArray) -> None:
         self.segments, self.free, self.home = segments, free, (q, v)
         self.floors, self.width = segments.floors(), int(free.sum())
         self.stiff = np.zeros(len(segments.first))
@@ -227,8 +226,8 @@ class _Search:
         return linear, self.reweighted(linear, before)
 
 
-def shoot(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, free: NDArray[np.bool_],
-          starts: Sequence[FloatArray], q: FloatArray, v: FloatArray, seconds: float = SEGMENT_S) -> Shot:
+def shoot(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, free: BoolArray,
+          starts: Sequence[FloatArray], q: FloatArray, v: FloatArray) -> Shot:
     """Estimate the `free` (p,) parameters, from the measured or smoothed motion q, v (N, n).
 
     `starts` are values (p,) to begin with, the next where one leads nowhere. Raises `FitError` where none leads to an
@@ -236,7 +235,7 @@ def shoot(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, free: N
     """
     speed = np.sqrt(np.mean(v**2, axis=0))
     smooth = np.maximum(mechanism.velocity_scales, SMOOTH * speed)
-    segments = Segments(signals, replace(mechanism, velocity_scale=tuple(smooth.tolist())), hold, seconds)
+    segments = Segments(signals, replace(mechanism, velocity_scale=tuple(smooth.tolist())), hold, SEGMENT_S)
     search = _Search(segments, free, q, v)
     for beta in starts:
         try:
@@ -246,7 +245,7 @@ def shoot(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, free: N
             continue
         if converged and point.lost.mean() <= MOST_LOST:
             return _result(signals, search, point, step, taken)
-    raise FitError(f"multiple shooting over {seconds:g} s did not converge")
+    raise FitError(f"multiple shooting over {SEGMENT_S:g} s did not converge")
 
 
 def _result(signals: Sequence[SignalSet], search: _Search, point: _Point, step: _Step, taken: int) -> Shot:

@@ -9,9 +9,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.likelihood import MeasuredRuns
 from estimator.model import Mechanism
 from estimator.numerics import propagate
@@ -39,18 +38,18 @@ class Linear(NamedTuple):
 class Part(NamedTuple):
     """Some segments, whose N samples and K intervals are put one after the other."""
 
-    segments: NDArray[np.intp]
-    size: NDArray[np.intp]
+    segments: IndexArray
+    size: IndexArray
     """Samples of each."""
-    rows: NDArray[np.intp]
+    rows: IndexArray
     """(N,) samples in all."""
-    first: NDArray[np.intp]
+    first: IndexArray
     """Each segment's first, among the N."""
-    intervals: NDArray[np.intp]
+    intervals: IndexArray
     """(K,) intervals in all."""
-    starts: NDArray[np.intp]
+    starts: IndexArray
     """Each segment's first, among the K."""
-    left: NDArray[np.intp]
+    left: IndexArray
     """(K,) samples, among the N, that begin an interval."""
 
 
@@ -91,7 +90,7 @@ class Segments:
             levels += [np.concatenate([[g], *a.reshape(1, -1)]) for g, a in zip(shown.gyro, shown.accel)]
         return np.maximum(0.5 * np.concatenate(levels), 1e-9)
 
-    def parts(self, which: NDArray[np.intp] | None = None) -> Iterator[Part]:
+    def parts(self, which: IndexArray | None = None) -> Iterator[Part]:
         """All segments, or those called `which`, some at a time."""
         which = np.arange(len(self.first)) if which is None else which
         group = np.cumsum(self.size[which]) // CHUNK
@@ -111,7 +110,7 @@ class Segments:
         defect = np.tensordot(beta, z, 1) - self.torque[:, :, part.intervals].reshape(self.state, -1)
         return defect, c.by_ends(slopes).reshape(self.state, 2, self.state, -1), z
 
-    def linearise(self, q: FloatArray, v: FloatArray, beta: FloatArray, free: NDArray[np.bool_]) -> Linear:
+    def linearise(self, q: FloatArray, v: FloatArray, beta: FloatArray, free: BoolArray) -> Linear:
         """At the motion q, v (N, n), which need not obey the equation."""
         width = int(free.sum()) + self.state + 1
         products = np.empty((len(self.first), self.channels, width, width))
@@ -162,7 +161,7 @@ class Segments:
             c += 3
         return out
 
-    def _acceleration(self, part: Part, state: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def _acceleration(self, part: Part, state: FloatArray) -> tuple[FloatArray, BoolArray]:
         """(N, n, m) of states (N, 2 n, m), and where there is one: not at the ends of segments.
 
         By both neighbours' angles and rates, 2 (q+ - 2 q + q-) / h^2 - (v+ - v-) / (2 h), with an error of h^4: that of
@@ -177,7 +176,7 @@ class Segments:
         return out, known
 
     def simulate(self, q: FloatArray, v: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray,
-                                                                              NDArray[np.bool_]]:
+                                                                              BoolArray]:
         """Motion (N, n) from each segment's first state, near q, v; and (S,) whether it was found.
 
         Newton's method on all segments at once, each with steps of its own length.
@@ -191,7 +190,7 @@ class Segments:
         return q, v, found
 
     def _newton(self, part: Part, q: FloatArray, v: FloatArray, beta: FloatArray
-                ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+                ) -> tuple[FloatArray, FloatArray, BoolArray]:
         of, samples = (np.repeat(np.arange(part.size.size), count) for count in (part.size - 1, part.size))
         share = np.ones(part.size.size)
         defect, slopes, z = self.equation(part, q, v, beta)
@@ -224,7 +223,7 @@ class Segments:
         return out
 
 
-def _ranges(first: NDArray[np.intp], size: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _ranges(first: IndexArray, size: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Numbers from each of `first` on, so many each; and where each begins."""
     begin = np.cumsum(size) - size
     return np.repeat(first - begin, size) + np.arange(int(size.sum())), begin

@@ -7,9 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.model import Mechanism
 from estimator.result import Budget, BudgetPart, FitResult
 from estimator.score import (
@@ -29,7 +28,7 @@ NOISE, SCATTER, STEP = "noise", "scatter", "step"
 
 
 def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
-                    known: tuple[NDArray[np.bool_], FloatArray | None], nuisances: Sequence[Nuisance],
+                    known: tuple[BoolArray, FloatArray | None], nuisances: Sequence[Nuisance],
                     stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> tuple[FitResult, RunScores]:
     """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
 
@@ -71,7 +70,7 @@ class Tolerated(NamedTuple):
     """(R,) over m + k columns"""
 
 
-def tolerated(scores: Sequence[Score], known: tuple[NDArray[np.bool_], FloatArray | None],
+def tolerated(scores: Sequence[Score], known: tuple[BoolArray, FloatArray | None],
               nuisances: Sequence[Nuisance], along: FloatArray, mechanism: Mechanism,
               stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> Tolerated | None:
     """All `nuisances` with a tolerance, marginalised; None without any. See `with_tolerances`.
@@ -123,7 +122,7 @@ def without_tolerances(result: FitResult) -> tuple[FloatArray, FloatArray]:
     return result.beta - result.budget.moved, found
 
 
-def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: NDArray[np.intp]) -> list[BudgetPart]:
+def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: IndexArray) -> list[BudgetPart]:
     """One for each source, the largest first."""
     rows = np.zeros((len(nuisances), p))
     rows[:, inside] = marginal.directions[:, : inside.size]

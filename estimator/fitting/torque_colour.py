@@ -12,9 +12,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.fitting.excerpt import excerpt
 from estimator.likelihood import GaussRows, LatentProblem, Linearised, Noise, Process, State
 from estimator.numerics import BlockTridiagonal, correlate, eliminate
@@ -129,7 +128,7 @@ def _by_noise(problem: LatentProblem, state: State, point: Linearised, drawn: _D
     return chain
 
 
-def _at_rest(problem: LatentProblem, noise: Noise) -> NDArray[np.bool_]:
+def _at_rest(problem: LatentProblem, noise: Noise) -> BoolArray:
     """(N, n) samples at which dry friction may balance more torque than the noise: the residual is open there."""
     rest = problem.stiction(noise)
     return np.zeros((problem.total, problem.n), bool) if rest is None else rest[:, 0] > problem.torque_level(noise) ** 2

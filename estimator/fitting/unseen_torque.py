@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.errors import FitError
+from daq import BoolArray
+from estimator.errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion
@@ -31,7 +31,7 @@ alone it is 0.9 to 1.1 on legs under a plan, and 0.55 to 0.73 under a PD loop of
 alone: on eight legs of MuJoCo the likelihood keeps nothing where every fit is asked."""
 
 
-def with_unseen_torque(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions) -> State:
+def with_unseen_torque(problem: LatentProblem, state: State, free: BoolArray, options: FitOptions) -> State:
     """The fit with torque that no sample shows at every driven joint; `state` where nothing asks for it."""
     mechanism = problem.mechanism
     joints = [j for j in mechanism.actuated if options.torque_noise(j, True) is None]
@@ -44,7 +44,7 @@ def with_unseen_torque(problem: LatentProblem, state: State, free: NDArray[np.bo
     try:
         found = descend(problem, begin, free, Policies.of(options, floors, levels_by_run=True))
         with_, without = (log_marginal(problem, converge_motion(problem, one)) for one in (found, state))
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return state
     likelier = with_ > without + 0.5 * len(joints) * np.log(problem.total)
     return found if found.converged and likelier else state

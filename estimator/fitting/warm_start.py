@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import BoolArray
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.identifiability import undetermined
@@ -31,7 +31,7 @@ OUTLIER = 4.0
 """Squares of signals are clipped here, in variances, when excitation is compared: a knock excites little."""
 
 
-def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: FitOptions, free: NDArray[np.bool_],
+def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: FitOptions, free: BoolArray,
                  start: State, seeks_smoothing: bool) -> State | None:
     """`start` with parameters and noise levels of an excerpt; None where that was not to be had."""
     parts = excerpt(problem, signals, start.x)

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
 from estimator.model import Mechanism
@@ -36,7 +35,7 @@ WEIGHT_SHARE = 0.3
 so weighting it by its own residual alone ends at beta = 0."""
 
 
-def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
+def weighted_least_squares(z: FloatArray, tau: FloatArray, free: BoolArray, beta: FloatArray,
                            samples_per_dof: float, known_sigma: FloatArray | None = None
                            ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """beta (p,), covariance (p, p), sigma (joints,) from z (m, n, p) and tau (m, n), eq. (28).
@@ -85,7 +84,7 @@ def _triangles(z: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     return small[:, :, :-1], small[:, :, -1]
 
 
-def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
+def driven_first(z: FloatArray, tau: FloatArray, free: BoolArray, beta: FloatArray,
                  mechanism: Mechanism) -> FloatArray:
     """beta (p,) from the equations of the driven joints alone, then the rest of it from those of the passive ones.
 
@@ -119,7 +118,7 @@ def stacked(values: Sequence[FloatArray], rate_hz: float, cutoff_hz: float | Non
     return np.concatenate(found)
 
 
-def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[NDArray[np.bool_], FloatArray]:
+def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[BoolArray, FloatArray]:
     """(p,) mask of the estimated parameters, and beta with the fixed values. Raises `FitError` on a wrong name."""
     beta = np.zeros(mechanism.p)
     free = np.ones(mechanism.p, dtype=bool)

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset, FloatArray, IndexArray
 from estimator.free_runs.smoothed_run import SmoothedRun
 from estimator.likelihood import LOST_RAD, FreeRun, LatentProblem, free_run, pieces, read_motion
 from estimator.model import simulate
@@ -30,7 +29,7 @@ class PredictedRun:
     rate_hz: float
     time_s: FloatArray
     """(N,), increasing across gaps"""
-    ends: NDArray[np.intp]
+    ends: IndexArray
     """(S,) sample after each segment's last"""
     channels: tuple[str, ...]
     """(C,) angles of all joints, their rates (`q1d`, ...), then each IMU's columns"""
@@ -41,9 +40,9 @@ class PredictedRun:
     horizons_s: tuple[float, ...]
     simulated: FloatArray
     """(M, H, C, N) as they would read on free runs; NaN from where a whole segment diverges"""
-    starts: NDArray[np.intp]
+    starts: IndexArray
     """(H, N) first sample of the piece that each sample is in"""
-    lost: NDArray[np.intp]
+    lost: IndexArray
     """(M, H) pieces that diverged"""
     misfits: FloatArray
     """(M,) -2 log density of the run, see `SmoothedRun.misfit`; NaN where it was not asked for"""
@@ -130,7 +129,7 @@ def _measured(one: SmoothedRun, data: Dataset | None) -> FloatArray:
     return out
 
 
-def _starts(problem: LatentProblem, horizon_s: float) -> NDArray[np.intp]:
+def _starts(problem: LatentProblem, horizon_s: float) -> IndexArray:
     """(N,) first sample of each sample's piece."""
     parts = pieces(problem, horizon_s)
     return np.repeat([p.start for p in parts], [p.stop - p.start for p in parts]).astype(np.intp)

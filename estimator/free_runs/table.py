@@ -9,9 +9,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.free_runs.predicted_run import PredictedRun
 
 BLOCK_S = 2.0
@@ -37,10 +36,10 @@ class PredictionTable:
 
     runs: tuple[PredictedRun, ...]
     """(R,) with their time series"""
-    run: NDArray[np.intp]
+    run: IndexArray
     """(B,) the run that each block is of, from 0"""
     channels: tuple[str, ...]
-    read: NDArray[np.bool_]
+    read: BoolArray
     """(C,) whether a sensor reads the channel in some run; the others are compared with the motion of `smoother`"""
     horizons_s: tuple[float, ...]
     """(H,) the last is infinite: whole segments"""
@@ -95,13 +94,13 @@ class PredictionTable:
         return np.stack([r.misfits for r in self.runs], axis=-1)
 
     @cached_property
-    def pieces(self) -> NDArray[np.intp]:
+    def pieces(self) -> IndexArray:
         """(H,) of all runs."""
         return np.array([sum(np.unique(r.starts[r.horizons_s.index(h)]).size for r in self.runs)
                          for h in self.horizons_s])
 
     @cached_property
-    def lost(self) -> NDArray[np.intp]:
+    def lost(self) -> IndexArray:
         """(M, H) pieces that diverged."""
         return np.array([[sum(r.lost[m, r.horizons_s.index(h)] for r in self.runs) for h in self.horizons_s]
                          for m in range(len(self.squares))])
@@ -156,7 +155,7 @@ def together(a: PredictedRun, b: PredictedRun) -> PredictedRun:
                    residual_torque=np.concatenate([a.residual_torque, b.residual_torque]))
 
 
-def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
+def paired_ratio(a: FloatArray, b: FloatArray, run: IndexArray) -> Ratio:
     """Root of sum a / sum b, summed squared errors (B,) of the same blocks, which belong to the runs `run` (B,).
 
     The interval is that of the log ratio by the jackknife over runs, or over blocks where there are fewer than
@@ -226,7 +225,7 @@ def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about
         samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), smoother)
 
 
-def _edges(run: PredictedRun) -> NDArray[np.intp]:
+def _edges(run: PredictedRun) -> IndexArray:
     """Samples between which blocks of about `BLOCK_S` lie, each within one segment."""
     size, out = max(10, int(BLOCK_S * run.rate_hz)), [0]
     for begin, end in pairwise([0, *map(int, run.ends)]):
@@ -234,7 +233,7 @@ def _edges(run: PredictedRun) -> NDArray[np.intp]:
     return np.array(out)
 
 
-def _sums(values: FloatArray, edges: NDArray[np.intp]) -> FloatArray:
+def _sums(values: FloatArray, edges: IndexArray) -> FloatArray:
     """(..., B) sums of (..., N) between `edges`."""
     return np.asarray(np.add.reduceat(values, edges[:-1], axis=-1), dtype=np.float64)
 

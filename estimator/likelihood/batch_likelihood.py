@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.likelihood.assembly_numba import add_motion
 from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.noise import Noise
@@ -49,7 +48,7 @@ class Records:
     spread: FloatArray | None = None
     """(R, N, n) standard deviation of each angle over its channel's, where they differ"""
 
-    def pick(self, where: NDArray[np.intp]) -> Records:
+    def pick(self, where: IndexArray) -> Records:
         """Some of the records."""
         return Records(self.angles[where], self.torque[where], None if self.spread is None else self.spread[where])
 

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray, Loop
+from daq import FloatArray, IndexArray, Loop
 from estimator.effects import Commanded, Told, summed
 from estimator.model import GAUSS
 from estimator.signals import SignalSet
 
 
-def commands_at(signals: Sequence[SignalSet], left: NDArray[np.intp], dt_s: float
+def commands_at(signals: Sequence[SignalSet], left: IndexArray, dt_s: float
                 ) -> tuple[Commanded, Commanded] | None:
     """At the samples (n, N) and at the Gauss points (n, 2, K) of the intervals that begin at `left` (K,); None where
     not all segments have commands."""
@@ -35,7 +34,7 @@ def commands_at(signals: Sequence[SignalSet], left: NDArray[np.intp], dt_s: floa
     return samples, _at_gauss(samples, left)
 
 
-def _at_gauss(samples: Commanded, left: NDArray[np.intp]) -> Commanded:
+def _at_gauss(samples: Commanded, left: IndexArray) -> Commanded:
     def between(x: FloatArray) -> FloatArray:
         return np.stack([x[..., left] + w * (x[..., left + 1] - x[..., left]) for w in GAUSS], axis=-2)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.model import smooth_sign
 
 REST_SPREAD = 5.0
@@ -53,7 +53,7 @@ def draw_held(v: FloatArray, level: float, scale: float, ends: NDArray[np.int64]
     return np.asarray(share * np.sqrt(held_variance(v, level, scale)))
 
 
-def _zero_crossings(inside: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+def _zero_crossings(inside: BoolArray, ends: NDArray[np.int64]) -> NDArray[np.int64]:
     """Bounds of the zero crossings, where `inside` (N,), and of the samples between them."""
     change = np.flatnonzero(np.diff(inside)) + 1
     return np.unique(np.concatenate([[0], change, ends]))

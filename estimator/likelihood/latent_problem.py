@@ -27,9 +27,8 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.effects import Backlash, Effect, GearEffect, Points, StribeckFriction, View
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.closed_loops import closed_loops, driven
@@ -365,7 +364,7 @@ class LatentProblem(MeasuredRuns):
                                           border[:, 2 * self.n : 3 * self.n, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
-                        index: NDArray[np.intp]) -> dict[str, FloatArray]:
+                        index: IndexArray) -> dict[str, FloatArray]:
         """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order."""
         n, p = self.n, self.mechanism.p
         out = {"torque": point.residuals["torque"] + step[:, 2 * n : 3 * n],

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import IndexArray
 from estimator.errors import FitError
 from estimator.model import Samples
 
@@ -30,7 +30,7 @@ def keep_pages() -> None:
     np.empty(31 * 2**20, dtype=np.uint8)
 
 
-def pieces(samples: NDArray[np.intp], size: int) -> Iterator[tuple[slice, Samples]]:
+def pieces(samples: IndexArray, size: int) -> Iterator[tuple[slice, Samples]]:
     """`samples` piece by piece, `size` at a time: which of them, and those themselves.
 
     Slices wherever a piece has no gap: they cost no copies.

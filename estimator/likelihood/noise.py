@@ -6,9 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.likelihood.noise_scale import NoiseScale
 from estimator.options import accel_level, encoder_level, gyro_level, torque_level
 
@@ -56,7 +55,7 @@ class Noise:
     None before a search; see `find_stiction`.
     """
 
-    def at(self, samples: slice | NDArray[np.intp]) -> Noise:
+    def at(self, samples: slice | IndexArray) -> Noise:
         """At some of the samples of its record."""
         return replace(self, scale=self.scale and self.scale.at(samples),
                        stiction=None if self.stiction is None else self.stiction[samples])

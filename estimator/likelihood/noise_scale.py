@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class NoiseScale:
     channels: frozenset[str] = frozenset()
     """Names of the channels in which runs differ."""
 
-    def at(self, samples: slice | NDArray[np.intp]) -> NoiseScale:
+    def at(self, samples: slice | IndexArray) -> NoiseScale:
         """At some of the samples."""
         return NoiseScale(self.torque[samples], self.encoder[samples], self.gyro[:, samples], self.accel[:, samples],
                           self.channels)
@@ -36,8 +35,8 @@ class NoiseScale:
         yield from (("torque", self.torque), ("encoder", self.encoder), ("gyro", self.gyro), ("accel", self.accel))
 
 
-def unit_scale(samples: int, joints: int, imus: int, channels: frozenset[str] = frozenset()) -> NoiseScale:
+def unit_scale(samples: int, joints: int, imus: int) -> NoiseScale:
     """All ones."""
     of_joints = samples, joints
     return NoiseScale(np.ones(of_joints), np.ones(of_joints), np.ones((imus, samples)), np.ones((imus, samples, 2)),
-                      channels)
+                      frozenset())

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import Perturbation
 from estimator.numerics import BlockTridiagonal
 from estimator.signals import Channel
@@ -32,7 +31,7 @@ class Latents:
         q, v, u, *e = (step[:, k : k + n] for k in range(0, step.shape[1], n))
         return Latents(self.q + q, self.v + v, self.u + u, None if self.e is None else self.e + e[0])
 
-    def of(self, where: slice | NDArray[np.intp]) -> Latents:
+    def of(self, where: slice | IndexArray) -> Latents:
         """At some of the samples."""
         return Latents(self.q[where], self.v[where], self.u[where], None if self.e is None else self.e[where])
 
@@ -50,7 +49,7 @@ class Accumulators(NamedTuple):
 class ReadingColumns(NamedTuple):
     """Derivatives of one channel's readings by those of the k sizes that change them."""
 
-    which: NDArray[np.intp]
+    which: IndexArray
     """(m,)"""
     values: FloatArray
     """(m, N)"""
@@ -70,7 +69,7 @@ class Extra:
     """(k, n, 2, K)"""
     sample_columns: FloatArray
     """(k, n, N)"""
-    acts: NDArray[np.bool_]
+    acts: BoolArray
     """(k, n) whether `torque_columns` of a size have anything at a joint."""
     reading_columns: Mapping[Channel, ReadingColumns]
     slopes: FloatArray | None = None

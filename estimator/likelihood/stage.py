@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.effects import Effect
 from estimator.model import GAUSS
 from estimator.signals import SignalSet
@@ -70,7 +69,7 @@ class Timeline(NamedTuple):
                    np.repeat(np.asarray(stage.run, dtype=np.float64), lengths),
                    np.repeat([float(s.exchanged) for s in signals], lengths))
 
-    def at_gauss(self, left: NDArray[np.intp]) -> Timeline:
+    def at_gauss(self, left: IndexArray) -> Timeline:
         """At the Gauss points of the intervals that begin at samples `left` (K,)."""
         def between(values: FloatArray) -> FloatArray:
             return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import BoolArray, Dataset, FloatArray
 from estimator.model import Mechanism
 from estimator.signals import angle_column, command_columns, torque_column
 
@@ -34,7 +33,7 @@ class LawRun:
     """[rad]"""
     angle: FloatArray
     """[rad]"""
-    used: NDArray[np.bool_]
+    used: BoolArray
     """Samples at which the loop was on and below its limit"""
 
     @property
@@ -68,7 +67,7 @@ def law_runs(datasets: Sequence[Dataset], mechanism: Mechanism, joint: int) -> l
     return found
 
 
-def _at_work(given: FloatArray) -> NDArray[np.bool_]:
+def _at_work(given: FloatArray) -> BoolArray:
     """(N,) samples between the limits, and not where there is no input for a while; nor their neighbours, of
     which an average may have part."""
     size = np.abs(given) / np.abs(given).max()

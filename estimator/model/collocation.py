@@ -14,15 +14,14 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.model.features_numba import interval_features
 from estimator.model.mechanism import Mechanism
 from estimator.model.regressor_numba import FastTerms
 from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, TERMS, Motion, Slope
 
-Samples = slice | NDArray[np.intp]
+Samples = slice | IndexArray
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 MOMENT = 2.0 * np.sqrt(3.0)
 """Half the difference of the values at the Gauss points, by the first moment that they stand for."""
@@ -146,7 +145,7 @@ class Collocation:
         w = self.torque_weights
         return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[after(left)].T[:, None, :]
 
-    def between(self, u: FloatArray, ends: NDArray[np.intp]) -> FloatArray | None:
+    def between(self, u: FloatArray, ends: IndexArray) -> FloatArray | None:
         """Torque at the Gauss points beyond `torque` (n, 2, K), from samples u (N, n) of segments that end before
         samples `ends`: of a smooth torque, what its spline has over a straight line. None for holds without a curve.
 
@@ -190,7 +189,7 @@ class Collocation:
         return FastTerms(self.mechanism)
 
     @cached_property
-    def _rigid(self) -> NDArray[np.bool_]:
+    def _rigid(self) -> BoolArray:
         return np.array([parameter.rigid for parameter in self.mechanism.parameters])
 
     def to_joint(self, z: FloatArray) -> FloatArray:

@@ -13,9 +13,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.model.collocation import GAUSS, Collocation
 from estimator.model.mechanism import Mechanism
 from estimator.model.terms import Motion
@@ -56,7 +55,7 @@ class Law(Protocol):
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
              hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None,
              taken: FloatArray | None = None, law: Law | None = None,
-             restarts: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+             restarts: IndexArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
     - `guess`: a motion (q, qd) near the solution, such as the measured one.
@@ -94,7 +93,7 @@ class _Equation:
     tau: FloatArray
     taken: FloatArray | None
     law: Law | None
-    held: NDArray[np.bool_] | None = None
+    held: BoolArray | None = None
     """(K,) intervals whose later end is given: no equation, but that it stays."""
 
     def torque(self, where: slice) -> FloatArray:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.numerics import compile_kernel
 from estimator.signals import slow_part
 
@@ -96,7 +96,7 @@ def _stop() -> Callable[..., None]:
     return compile_kernel(run, "f2 f1", exact=True)
 
 
-def predict_runs(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
+def predict_runs(residuals: FloatArray, columns: FloatArray, run: IndexArray) -> FloatArray:
     """(N, J) the residuals of each run as predicted from the others, each with the ridge penalty best over all runs."""
     which = np.unique(run)
     count, joints = residuals.shape
@@ -115,7 +115,7 @@ def predict_runs(residuals: FloatArray, columns: FloatArray, run: NDArray[np.int
     return out[:, best, np.arange(joints)]
 
 
-def repeated_share(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
+def repeated_share(residuals: FloatArray, columns: FloatArray, run: IndexArray) -> FloatArray:
     """(J,) share of the mean square of each of `residuals` (N, J) that `columns` (N, B) predict in runs that they were
     not fitted to; 0 where they predict none."""
     whole, out = np.sum(residuals**2, axis=0), np.zeros(residuals.shape[1])

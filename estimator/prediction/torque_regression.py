@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.effects import Points, StateTorque, Table, Variable
 from estimator.free_runs import SmoothedRun
 from estimator.model import Mechanism, smooth_sign
@@ -46,7 +45,7 @@ class Samples:
     """(N, n) share of each residual's variance that is noise, not dry friction that holds a joint at rest"""
     level: FloatArray
     """(n,) rms noise level of the torques in the smoother: its residuals are smaller, for it follows its own model"""
-    run: NDArray[np.intp]
+    run: IndexArray
     """(N,) the run of each sample, from 0"""
 
     def plus(self, law: StateTorque) -> Samples:
@@ -192,7 +191,7 @@ class _Fit:
         """(N,) weighted residual that the tables leave."""
         return self.residual - self.columns @ self.mean
 
-    def inflation(self, run: NDArray[np.intp]) -> float:
+    def inflation(self, run: IndexArray) -> float:
         """Variance of the torque by its scatter between runs over that by the covariance, at least 1.
 
         Scores of the runs give the scatter (sandwich estimator, White 1982).
@@ -209,7 +208,7 @@ class _Fit:
         """Variance of the torque over the samples."""
         return max(float(self.mean @ self.gram @ self.mean) / self.count - float(self.centre @ self.mean) ** 2, 0.0)
 
-    def told(self, run: NDArray[np.intp], level: float) -> LearntTorque:
+    def told(self, run: IndexArray, level: float) -> LearntTorque:
         """The law with tables of mean zero over the samples, but for directed ones; the constant takes the means."""
         turn = np.eye(self.mean.size)
         for table, here in zip(self.tables, self.places):
@@ -254,7 +253,7 @@ def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count:
     return mean, covariance, noise
 
 
-def correlation_time(residual: FloatArray, run: NDArray[np.intp]) -> float:
+def correlation_time(residual: FloatArray, run: IndexArray) -> float:
     """Integrated autocorrelation time of a residual (N,) in samples, at least 1: up to the first negative pair of lags
     (Geyer 1992)."""
     parts = [residual[run == k] - residual[run == k].mean() for k in np.unique(run)]

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset, FloatArray, IndexArray
 from estimator.free_runs import SmoothedRun
 from estimator.model import Mechanism, land, simulate
 from estimator.signals import SINCE, STANCE, angle_column, torque_column
@@ -68,7 +67,7 @@ class Walking(NamedTuple):
     """(N, n) [rad], NaN where no leg was known to stand"""
     torque: FloatArray
     """(N, n) [N m]"""
-    first: NDArray[np.intp]
+    first: IndexArray
     """(K,) first sample after each touchdown, ..."""
     touchdown_s: FloatArray
     """... and its instant."""

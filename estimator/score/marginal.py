@@ -17,9 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.numerics import pseudo_inverse
 from estimator.score.nuisances import Nuisance
 from estimator.score.score import HIDDEN, Score
@@ -57,7 +56,7 @@ class Marginal:
     """(k, f) one row a nuisance, whose outer product is its part of the covariance"""
 
 
-def projected(score: Score, free: NDArray[np.bool_], prior: FloatArray | None = None) -> Projected:
+def projected(score: Score, free: BoolArray, prior: FloatArray | None = None) -> Projected:
     """Nuisances, the columns after the first `free` (m,) ones, with the free of those projected out.
 
     A `prior` (p, p) adds its information to that of the first p. Columns of which nothing is left have none.
@@ -78,7 +77,7 @@ def projected(score: Score, free: NDArray[np.bool_], prior: FloatArray | None = 
     return Projected(left, 0.5 * (information + information.T), carry)
 
 
-def discounted(found: Projected, free: NDArray[np.bool_], runs: Sequence[Score], nuisances: Sequence[Nuisance]
+def discounted(found: Projected, free: BoolArray, runs: Sequence[Score], nuisances: Sequence[Nuisance]
                ) -> tuple[Projected, Projected]:
     """`found` with the noise that its directions really have, and the same without those that contradict it; no
     tolerance is zero.

@@ -23,9 +23,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator.numerics import inverse_root, pseudo_inverse
 from estimator.result import TWO_SIDED, RunAgreement
 from estimator.score.run_scores import RunScores
@@ -44,7 +43,7 @@ START = 10.0
 """Variances of a parameter, times the number of runs, at which that search starts: it only shrinks."""
 
 
-def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, free: NDArray[np.bool_],
+def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, free: BoolArray,
                  prior: FloatArray | None = None) -> tuple[FloatArray, RunAgreement]:
     """The covariance (p, p) with what runs disagree about, and what there is to say of it.
 

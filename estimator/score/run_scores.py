@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import IndexArray
 from estimator.likelihood import LatentProblem, State
 from estimator.score.score import Score, score_at
 from estimator.signals import LEAST_SEGMENT, SignalSet, by_run, cut
@@ -31,7 +31,7 @@ class RunScores(NamedTuple):
     unit: Literal["run", "segment"] = "run"
     """What is scored: runs, or segments of one run."""
 
-    def of(self, columns: NDArray[np.intp]) -> RunScores:
+    def of(self, columns: IndexArray) -> RunScores:
         """Scores of these `columns` alone."""
         return self._replace(scores=tuple(one.of(columns) for one in self.scores))
 

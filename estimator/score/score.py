@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import FloatArray, IndexArray
 from estimator.likelihood import Candidate, LatentProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate
 
@@ -30,7 +29,7 @@ class Score:
     information: FloatArray
     """(m, m)"""
 
-    def of(self, columns: NDArray[np.intp]) -> Score:
+    def of(self, columns: IndexArray) -> Score:
         """Score of these `columns` (k,), the others held at zero."""
         return Score(self.score[columns], self.information[np.ix_(columns, columns)])
 
@@ -112,7 +111,7 @@ def score_alone(problem: LatentProblem, state: State) -> FloatArray:
     return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, weighted)])
 
 
-def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:
+def columns_of(candidates: Sequence[Candidate]) -> list[IndexArray]:
     """Column numbers of each candidate, counted from the first candidate's."""
     stops = np.cumsum([c.width for c in candidates])
     return [np.arange(b - c.width, b) for c, b in zip(candidates, stops)]

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.numerics import pseudo_inverse
 from estimator.score.score import HIDDEN, Score, total
 
@@ -50,21 +49,21 @@ class ScoreTests:
         """Variance between runs of all that is tested, over that of white noise: the median of `inflation`."""
         return float(np.median(self.inflation))
 
-    def gain(self, columns: NDArray[np.intp]) -> float:
+    def gain(self, columns: IndexArray) -> float:
         """Twice the log likelihood that these columns would gain, over the scatter's inflation."""
         size = self.size(columns)
         return float(size @ self.score[columns]) / float(np.mean(self.inflation[columns]))
 
-    def size(self, columns: NDArray[np.intp]) -> FloatArray:
+    def size(self, columns: IndexArray) -> FloatArray:
         """One-step estimate of the sizes of these columns."""
         return self._sizes(columns, self.score[columns])
 
-    def explained(self, column: int, columns: NDArray[np.intp]) -> float:
+    def explained(self, column: int, columns: IndexArray) -> float:
         """Share (0 to 1) of what `column` explains that `columns` explain, too: a squared multiple correlation."""
         own, common = self.information[column, column], self.information[columns, column]
         return float(self._sizes(columns, common) @ common / own) if own > 0.0 else 0.0
 
-    def _sizes(self, columns: NDArray[np.intp], score: FloatArray) -> FloatArray:
+    def _sizes(self, columns: IndexArray, score: FloatArray) -> FloatArray:
         """Sizes of these columns for their `score`, without combinations that the data hardly show."""
         information = self.information[np.ix_(columns, columns)]
         scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
@@ -72,7 +71,7 @@ class ScoreTests:
         good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
         return np.asarray((vectors[:, good] / values[good]) @ (vectors[:, good].T @ (score / scale)) / scale)
 
-    def p_value(self, columns: NDArray[np.intp]) -> float:
+    def p_value(self, columns: IndexArray) -> float:
         """p-value of the gain under no effect: F with the scatter's degrees of freedom."""
         k = len(columns)
         return float(fdtrc(k, self.freedom, max(self.gain(columns), 0.0) / k))
@@ -106,7 +105,7 @@ def project(runs: Sequence[Score], nuisance: int, bias: Sequence[FloatArray] | N
     return ScoreTests(scores, scores.sum(axis=0), information.sum(axis=0), inflation, freedom, before, carry)
 
 
-def own_inflation(runs: Sequence[Score], free: NDArray[np.bool_], least: float) -> FloatArray:
+def own_inflation(runs: Sequence[Score], free: BoolArray, least: float) -> FloatArray:
     """(m,) variance inflation of the model's first m parameters: their scatter between runs over that of white noise.
 
     Only `free` parameters; shrunk to their median, which is at least `least`. Efficient score of one parameter, with C
@@ -122,7 +121,7 @@ def own_inflation(runs: Sequence[Score], free: NDArray[np.bool_], least: float) 
     return out
 
 
-def determined(runs: Sequence[Score], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def determined(runs: Sequence[Score], free: BoolArray) -> BoolArray:
     """(m,) whether these runs determine each of the model's first m parameters; of `free` ones only.
 
     The others must leave a share 1 / (I_kk C_kk) of its information I_kk above HIDDEN; C is the pooled inverse of I.

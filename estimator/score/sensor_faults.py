@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import GenericReading, GenericTorque, SensorEffect
 from estimator.likelihood import Candidate, LatentProblem
 from estimator.score.marginal import discounted, marginalise, projected
@@ -46,9 +46,9 @@ class SensorFaults:
     """Faults of sensors that have a tolerance, among candidates that were scored at a fit."""
 
     candidates: Sequence[Candidate]
-    columns: Sequence[NDArray[np.intp]]
+    columns: Sequence[IndexArray]
     """Of each candidate, counted from the first's."""
-    free: NDArray[np.bool_]
+    free: BoolArray
     """(m,) which parameters of the fit are estimated; its scores have them before the candidates' columns."""
     held: frozenset[str]
     """Effects of the fit itself."""
@@ -60,7 +60,7 @@ class SensorFaults:
     """Candidates that are wrong as well, without a prior."""
 
     @classmethod
-    def of(cls, candidates: Sequence[Candidate], problem: LatentProblem, free: NDArray[np.bool_], stated: Stated
+    def of(cls, candidates: Sequence[Candidate], problem: LatentProblem, free: BoolArray, stated: Stated
            ) -> Self:
         """Those of `Effect.usual` shapes that are no effects of the `problem`, with the tolerances `stated`."""
         held, which, sizes = frozenset(e.key for e in problem.effects), list[int](), list[Nuisance]()

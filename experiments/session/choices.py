@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, Rig
-from estimator import FitError
+from estimator import FIT_ERRORS
 from estimator.calibration import find_differing, find_wrong, needed_terms
 from estimator.model import settings_of
 from estimator.prediction import filtered_motion
@@ -74,7 +74,7 @@ def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = No
             if terms.encoder_zero is None and not zeros:
                 zeros = _zeros(setup_of(datasets, with_choices(bare, chosen), sensors, fixed))
             chosen += zeros
-    except (FitError, np.linalg.LinAlgError, ValueError):  # too short or too still to ask; the fit itself says so
+    except (*FIT_ERRORS, ValueError):  # too short or too still to ask; the fit itself says so
         pass
     return tuple(chosen)
 

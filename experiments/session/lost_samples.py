@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset, ReadingFault
-from estimator import FitError, FitOptions
+from estimator import FIT_ERRORS, FitOptions
 from estimator.calibration import find_lost, lost_text, unexplained_start, without_loss
 from estimator.model import Mechanism
 from estimator.signals import is_plain
@@ -38,7 +38,7 @@ def _without_start(data: Dataset, mechanism: Mechanism, options: FitOptions) -> 
     try:
         with np.errstate(all="ignore"):
             count = unexplained_start(data, mechanism, options)
-    except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it
+    except (*FIT_ERRORS, ValueError):  # too short, or not a number in it
         return data
     if not count:
         return data
@@ -54,7 +54,7 @@ def _corrected(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Data
         try:
             with np.errstate(all="ignore"):
                 lost = find_lost(data, mechanism, options)
-        except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it
+        except (*FIT_ERRORS, ValueError):  # too short, or not a number in it
             return data
         if lost is None:
             return data

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset, ReadingFault
-from estimator import FitError, FitOptions
+from estimator import FIT_ERRORS, FitOptions
 from estimator.calibration import as_it_is
 from estimator.model import Mechanism
 
@@ -37,7 +37,7 @@ def _decided(data: Dataset, mechanism: Mechanism, options: FitOptions) -> Datase
         try:
             with np.errstate(all="ignore"):
                 as_read, before, behind = (as_it_is([one], mechanism, options) for one in tried)
-        except (FitError, np.linalg.LinAlgError, ValueError):  # too short to ask
+        except (*FIT_ERRORS, ValueError):  # too short to ask
             continue
         last = BETTER * behind.left < before.left or bool(before.faults and not behind.faults)
         best = behind if last else before

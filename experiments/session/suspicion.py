@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import Dataset
-from estimator import FitError, FitOptions
+from estimator import FIT_ERRORS, FitError, FitOptions
 from estimator.calibration import (
     MOST_LEFT,
     MOST_SPAN,
@@ -53,7 +53,7 @@ def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     try:
         with np.errstate(all="ignore"):
             return _suspect(datasets, mechanism, options, gear_ratio, suspected)
-    except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it: the fit says so itself
+    except (*FIT_ERRORS, ValueError):  # too short, or not a number in it: the fit says so itself
         return Suspicion()
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator import FitError, FitOptions, GapError
+from estimator import FIT_ERRORS, FitError, FitOptions, GapError
 from estimator.fitting import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.signals import angle_column, imu_columns, split_signals, torque_column
@@ -126,7 +126,7 @@ def _strange(datasets: Sequence[Dataset | None], mechanism: Mechanism, options: 
                                                     np.concatenate([b.torque for b in others]), free, start, 1.0)
                 mine = np.maximum(np.mean(own.torque[:, driven] ** 2, axis=0), power)
                 left[row] = np.sqrt(np.mean((own.torque - own.z @ beta)[:, driven] ** 2, axis=0) / mine)
-    except (FitError, np.linalg.LinAlgError, ValueError):
+    except (*FIT_ERRORS, ValueError):
         return {}
     usual = np.median(left, axis=0)
     worst, j = divmod(int(np.argmax(left / usual)), len(driven))  # one run: it also spoils the others' figures

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, FloatArray, Rig
-from estimator import FitError
+from estimator import FIT_ERRORS
 from estimator.fitting import fit_admissible, fit_nominal
 from estimator.model import lag
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered
@@ -99,7 +99,7 @@ class Bench:
                 model = FittedModel(found.mechanism, found.hold if alike else "smooth", found.beta)
                 signals = split_signals(own, found.mechanism, other.options)
                 ahead = predict_filtered([model], signals, other.options, SHORT_S)
-            except (FitError, np.linalg.LinAlgError):
+            except FIT_ERRORS:
                 return Trial(np.inf, np.array([np.inf]), {}, None)
             if not found.converged or found.inadmissible or not np.isfinite(ahead.score(SHORT_S)):
                 return Trial(np.inf, np.array([np.inf]), {}, found.noise.get("encoder_rad"))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq import Rig
-from estimator import FitError
+from estimator import FIT_ERRORS
 from estimator.model import lag, ticks_of
 from experiments.documents import Time, What
 from experiments.session import Choice, with_choices
@@ -136,7 +136,7 @@ def _between(bench: Bench, rig: Rig) -> tuple[str, float]:
     """The likeliest hold and delay [s], as a rig file states them."""
     try:
         hold, delay_s = bench.between(rig)
-    except (FitError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return "smooth", 0.0
     if hold in HOLDS or ticks_of(hold):
         return hold, round(delay_s, 6)
