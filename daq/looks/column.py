@@ -8,9 +8,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import BoolArray, FloatArray, IndexArray
 from daq.errors import InputError
 from daq.findings import ReadingFault
 from daq.looks.jumps import find_jumps, take_turns, unwrapped
@@ -36,7 +35,7 @@ class Look(NamedTuple):
 
     columns: dict[str, FloatArray]
     """(n,) each; readings that are left out are NaN."""
-    left_out: dict[str, NDArray[np.bool_]]
+    left_out: dict[str, BoolArray]
     """Column -> (n,) readings over which nothing may be interpolated."""
     faults: tuple[ReadingFault, ...]
 
@@ -47,7 +46,7 @@ _Kind = Callable[[str, FloatArray, FloatArray], "_Found"]
 class _Found(NamedTuple):
     x: FloatArray
     faults: list[ReadingFault]
-    unknown: NDArray[np.bool_]
+    unknown: BoolArray
     """(n,) readings of which only a bound is known, or nothing for long."""
 
 
@@ -59,7 +58,7 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
     of what other columns say at that time. Nothing else is altered. Raises `InputError` naming `where` for a column
     that holds two series in turn, or too many jumps, unless `as_read`.
     """
-    out, left, faults = dict(columns), dict[str, NDArray[np.bool_]](), list[ReadingFault]()
+    out, left, faults = dict(columns), dict[str, BoolArray](), list[ReadingFault]()
     for name, values in columns.items():
         known = np.flatnonzero(np.isfinite(values))
         kind = next((of for pattern, of in _KINDS if pattern.fullmatch(name)), None)
@@ -91,7 +90,7 @@ def look(time_s: FloatArray, columns: Mapping[str, FloatArray], where: str = "a 
 
 
 def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, FloatArray],
-                 left: dict[str, NDArray[np.bool_]]) -> list[ReadingFault]:
+                 left: dict[str, BoolArray]) -> list[ReadingFault]:
     """Standstills of an angle under its torque, which are then left out of `out`. A drive may hold a joint against what
     others do that move."""
     others = [q for other, q in out.items() if ANGLE_OF_TORQUE.fullmatch(other)]
@@ -112,12 +111,12 @@ def _standstills(time_s: FloatArray, name: str, torque: str, out: dict[str, Floa
                      np.arange(still.size))]
 
 
-def _moved(fault: ReadingFault, rows: NDArray[np.intp]) -> ReadingFault:
+def _moved(fault: ReadingFault, rows: IndexArray) -> ReadingFault:
     """A fault of the samples `rows` as one of all samples."""
     return replace(fault, rows=tuple((int(rows[a]), int(rows[b])) for a, b in fault.rows))
 
 
-def _at_rows(fault: ReadingFault, known: NDArray[np.intp]) -> ReadingFault:
+def _at_rows(fault: ReadingFault, known: IndexArray) -> ReadingFault:
     rows = tuple((int(known[a]) + 1, int(known[b]) + 1) for a, b in fault.rows)
     return replace(fault, rows=rows, text=fault.text.format(row=rows[0][0], rows=_rows(rows)))
 
@@ -130,7 +129,7 @@ def _rows(places: Sequence[tuple[int, int]]) -> str:
     return f"row{'s' * (not one)} {', '.join(told)}{more}"
 
 
-def _places(which: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+def _places(which: BoolArray) -> tuple[tuple[int, int], ...]:
     """First and last index of each row of True."""
     edges = np.diff(np.concatenate(([False], which, [False])).astype(np.int8))
     return tuple(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist()))

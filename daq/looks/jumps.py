@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import BoolArray, FloatArray, IndexArray
 
 TURNS = tuple(2.0 * np.pi / k for k in (1, 2, 3, 4))
 """Ranges over which an angle in rad is wrapped: nothing is unwrapped by another."""
@@ -80,7 +79,7 @@ def scale_of(x: FloatArray) -> Scale:
     return Scale(resolution, float(np.percentile(steps[moving], RATE_SHARE)), float(np.percentile(among, 95.0)))
 
 
-def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | None:
+def unwrapped(x: FloatArray) -> tuple[FloatArray, float, IndexArray] | None:
     """x (n,) without wraps, the range of the wraps, and the first sample behind each; None where x does not wrap.
 
     A wrap leads from one end of the range to the other, or does so over a few wrong readings. Large jumps that do not
@@ -116,7 +115,7 @@ def unwrapped(x: FloatArray) -> tuple[FloatArray, float, NDArray[np.intp]] | Non
     return None
 
 
-def _moves_on(smooth: FloatArray, at: NDArray[np.intp], way: FloatArray, resolution: float) -> bool:
+def _moves_on(smooth: FloatArray, at: IndexArray, way: FloatArray, resolution: float) -> bool:
     """Whether the joint moves through the jumps `at` steps (m,), against their `way`; `smooth` (n - 1,) are the steps
     without large jumps."""
     path = np.concatenate(([0.0], np.cumsum(smooth)))
@@ -165,7 +164,7 @@ def _over_isolated(y: FloatArray, x: FloatArray, limits: _Limits, usual: float) 
     return out, found
 
 
-def find_jumps(x: FloatArray, apart: NDArray[np.bool_], period_s: float) -> Jumps:
+def find_jumps(x: FloatArray, apart: BoolArray, period_s: float) -> Jumps:
     """Wrong readings and steps of x (n,), sampled every `period_s`, that no motion makes.
 
     `apart` (n - 1,): pairs with a pause in between, which may jump. The rates on both sides of a jump go on as if it

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import FloatArray, IndexArray
 
 LEAST_FLAT = 5
 """Samples on a level that are a flat top, at least, and this share of all:"""
@@ -32,12 +31,12 @@ between this length and that of a sensor that hangs: a smooth column has plateau
 class Plateaus(NamedTuple):
     """Maximal rows of equal readings."""
 
-    start: NDArray[np.intp]
-    length: NDArray[np.intp]
+    start: IndexArray
+    length: IndexArray
     value: FloatArray
 
     @property
-    def stop(self) -> NDArray[np.intp]:
+    def stop(self) -> IndexArray:
         """(m,) one behind the last sample of each."""
         return self.start + self.length
 

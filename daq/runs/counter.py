@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import FloatArray, IndexArray
 from daq.findings import Flag
 
 BITS = (16, 24, 31, 32)
@@ -30,7 +29,7 @@ class Unwrapped(NamedTuple):
     """(n,) in the unit given."""
     modulus: float
     """Range by which the counter wraps, in that unit."""
-    rows: NDArray[np.intp]
+    rows: IndexArray
     """First row behind each wrap."""
 
     def flag(self, column: str) -> Flag:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dataset import Dataset, FloatArray
+from daq.dataset import BoolArray, Dataset, FloatArray
 from daq.errors import InputError
 from daq.findings import Flag
 from daq.looks import look
@@ -232,7 +232,7 @@ def _clock_flag(times: _Times) -> list[Flag]:
     return [Flag("clock", f"the controller's clock failed: {'; '.join(times.faults[:MOST_FAULTS])}{more}; {done}")]
 
 
-def _sure(raw: RawRun, telemetry: NDArray[np.void], rig: Rig) -> NDArray[np.bool_]:
+def _sure(raw: RawRun, telemetry: NDArray[np.void], rig: Rig) -> BoolArray:
     """Samples of a polled drive whose answer came soon enough for their time to be known as the rig asks."""
     probes = raw.streams["/leg/clock"]
     waits = dict(zip(probes["host_rx_ns"].tolist(), (probes["host_rx_ns"] - probes["host_tx_ns"]).tolist()))

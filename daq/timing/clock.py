@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import FloatArray, IndexArray
 
 WRAP_US = 2**32
 BEST_SHARE = 0.1
@@ -97,7 +97,7 @@ def _unwrapped(tick_us: NDArray[np.integer], near_ns: FloatArray, anchor_tick: i
     return since + wraps * WRAP_US
 
 
-def _best_trips(trip: FloatArray, since: FloatArray) -> NDArray[np.intp]:
+def _best_trips(trip: FloatArray, since: FloatArray) -> IndexArray:
     """Indices of the shortest tenth (at least two) of the round trips in each of six segments of time."""
     edges = np.linspace(since.min(), since.max(), _BINS + 1)[1:-1]
     bins = np.searchsorted(edges, since, side="right")

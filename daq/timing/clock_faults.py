@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import BoolArray, FloatArray, IndexArray
 
 WRAP_US = 2**32
 STEP_SHARE, STEP_US = 0.5, 200.0
@@ -45,8 +45,8 @@ COUNTERS_HZ = {f"a 32-bit counter at {mhz} MHz": mhz * 1e6 for mhz in (
 class Piece(NamedTuple):
     """Rows of the telemetry, and the probes by which they are timed."""
 
-    rows: NDArray[np.intp]
-    probes: NDArray[np.intp]
+    rows: IndexArray
+    probes: IndexArray
 
 
 def signed_us(ticks: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -55,7 +55,7 @@ def signed_us(ticks: NDArray[np.int64]) -> NDArray[np.int64]:
     return (ticks[1:] - ticks[:-1] + half) % WRAP_US - half
 
 
-def tick_steps(telemetry: NDArray[np.void]) -> tuple[NDArray[np.intp], FloatArray]:
+def tick_steps(telemetry: NDArray[np.void]) -> tuple[IndexArray, FloatArray]:
     """Rows whose tick did not advance from the row before as the sequence did, and by how much too far [us]."""
     if telemetry.size < 2:
         return np.empty(0, np.intp), np.empty(0)
@@ -72,7 +72,7 @@ def tick_steps(telemetry: NDArray[np.void]) -> tuple[NDArray[np.intp], FloatArra
     return rows + 1, off[rows]
 
 
-def paced_wrongly(telemetry: NDArray[np.void]) -> NDArray[np.bool_]:
+def paced_wrongly(telemetry: NDArray[np.void]) -> BoolArray:
     """(n,) rows around which the tick advances by more or less a sequence number than in most of the run.
 
     The controller counts both by one clock, so their ratio is constant even where that clock's rate changes.
@@ -99,7 +99,7 @@ def paced_wrongly(telemetry: NDArray[np.void]) -> NDArray[np.bool_]:
     return wrong
 
 
-def probe_steps(probes: NDArray[np.void], epoch_ns: int) -> tuple[NDArray[np.intp], FloatArray]:
+def probe_steps(probes: NDArray[np.void], epoch_ns: int) -> tuple[IndexArray, FloatArray]:
     """Probes whose tick contradicts the probe before, at any drift that temperature makes, and by how much [us]."""
     if probes.size < 4:
         return np.empty(0, np.intp), np.empty(0)
@@ -179,7 +179,7 @@ def pieces_of(telemetry: NDArray[np.void], probes: NDArray[np.void], epoch_ns: i
     return [Piece(np.flatnonzero(mine == k), np.flatnonzero(theirs == k)) for k in np.unique(mine)], words
 
 
-def apart(arrived: FloatArray, time_ns: FloatArray, groups: list[NDArray[np.intp]]) -> NDArray[np.bool_]:
+def apart(arrived: FloatArray, time_ns: FloatArray, groups: list[IndexArray]) -> BoolArray:
     """Rows of the groups whose times by the probes diverge from their arrivals: both cannot be right."""
     wrong = np.zeros(arrived.shape, bool)
     for group in groups:
@@ -195,13 +195,13 @@ def apart(arrived: FloatArray, time_ns: FloatArray, groups: list[NDArray[np.intp
     return wrong
 
 
-def runs_of(rows: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def runs_of(rows: BoolArray) -> list[IndexArray]:
     """The uninterrupted runs of true rows."""
     at = np.flatnonzero(rows)
     return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
 
 
-def _first_of_runs(at: NDArray[np.intp], by_us: FloatArray) -> tuple[NDArray[np.intp], FloatArray, list[bool]]:
+def _first_of_runs(at: IndexArray, by_us: FloatArray) -> tuple[IndexArray, FloatArray, list[bool]]:
     """Steps of probes, of a run of them the first alone, and whether it is one: the rate has changed there."""
     first, rated = list[int](), list[bool]()
     for group in np.split(np.arange(at.size), np.flatnonzero((np.diff(at) != 1) | (np.diff(np.sign(by_us)) != 0)) + 1):
@@ -211,7 +211,7 @@ def _first_of_runs(at: NDArray[np.intp], by_us: FloatArray) -> tuple[NDArray[np.
     return at[first], by_us[first], rated
 
 
-def _worst_of(rows: NDArray[np.intp], by_us: FloatArray) -> list[tuple[int, float]]:
+def _worst_of(rows: IndexArray, by_us: FloatArray) -> list[tuple[int, float]]:
     """One of each group of neighbours: a clock that stands still is off at every row."""
     groups = np.split(np.arange(rows.size), np.flatnonzero(np.diff(rows) > LEAST_ROWS) + 1)
     return [(int(rows[g[0]]), float(by_us[g][np.argmax(np.abs(by_us[g]))])) for g in groups if g.size]
@@ -225,7 +225,7 @@ def _words(what: str, at_ns: float, off_us: float) -> str:
 
 
 def contradicting(arrived: FloatArray, time_ns: FloatArray, piece_of: NDArray[np.int64], bound_ns: float
-                  ) -> NDArray[np.bool_]:
+                  ) -> BoolArray:
     """Rows that contradict the probes: (n,) arrivals [ns], times by the probes [ns] and numbers of the pieces.
 
     After its tick a sample needs some time to arrive. The least of a window may not change: not by more than 2 ms to

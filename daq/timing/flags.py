@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import FloatArray, IndexArray
 from daq.findings import Flag
 from daq.rig import Rig
 from daq.runs import RawRun
@@ -92,7 +92,7 @@ def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:
                   f"{apart:.1f} of them: another program may have read it")]
 
 
-def _apart(index: FloatArray, before_s: FloatArray, after_s: FloatArray, first: NDArray[np.intp],
+def _apart(index: FloatArray, before_s: FloatArray, after_s: FloatArray, first: IndexArray,
            period_s: float) -> float:
     """The most by which drains of one group contradict each other [samples], each group by the period that makes this
     least: a convex function of it. Groups begin at `first`, and count indices and times from there."""

@@ -6,9 +6,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import FloatArray
+from daq.dataset import FloatArray, IndexArray
 from daq.errors import InputError
 from daq.runs import RawRun
 
@@ -22,7 +21,7 @@ def configured(raw: RawRun, kind: str) -> dict[str, Any]:
         raise unusable(raw, f"holds a configuration of the {kind} that cannot be read") from None
 
 
-def increasing(time_ns: FloatArray) -> NDArray[np.intp]:
+def increasing(time_ns: FloatArray) -> IndexArray:
     """Rows whose time is known and later than that of every row before."""
     rows = np.flatnonzero(np.isfinite(time_ns))
     known = time_ns[rows]

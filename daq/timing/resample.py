@@ -19,9 +19,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.dataset import Dataset, FloatArray
+from daq.dataset import BoolArray, Dataset, FloatArray
 from daq.errors import InputError
 from daq.findings import Flag, ReadingFault
 from daq.looks import look
@@ -116,7 +115,7 @@ def align_channels(name: str, channels: list[TimedColumns], rate_hz: float, as_r
     return Dataset(name, rate_hz, grid, columns, readings=tuple(faults))
 
 
-def reached(grid: FloatArray, time_s: FloatArray, left_out: NDArray[np.bool_], half: float) -> NDArray[np.bool_]:
+def reached(grid: FloatArray, time_s: FloatArray, left_out: BoolArray, half: float) -> BoolArray:
     """(g,) points of the grid that use a reading of `left_out` (n,): those between the good readings around it, with
     windows that reach `half` [s] to both sides."""
     edges = np.diff(np.concatenate(([False], left_out, [False])).astype(np.int8))
