@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtrc, stdtrit
+from scipy.special import fdtrc
 
 from estimator.diagnosis.calibration import calibrated
 from estimator.diagnosis.context import DiagnosisContext
@@ -327,13 +327,13 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
 
 
 def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals by Student's t, of their own scatter between runs.
+    """Sizes with their 95 % intervals.
 
     Without sizes that these runs do not determine, and without shapes that were held or are at a limit of their range.
     """
     model = explanation.model
     unit = model.problem.mechanism.unit
-    half = float(stdtrit(explanation.left.freedom, 0.975)) * np.sqrt(np.diag(explanation.covariance))
+    half = explanation.half_widths
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import stdtrit
 
 from daq import BoolArray, FloatArray
 from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
@@ -42,7 +43,7 @@ class Explanation:
     scores: tuple[Score, ...] = ()
     """(R,) of its own parameters, one a train run"""
     within: frozenset[str] = frozenset()
-    """Keys of its effects whose sizes the tolerances of the rig hold"""
+    """Keys of its effects whose sizes the tolerances of the rig hold; see also `weighed`"""
 
     @property
     def keys(self) -> frozenset[str]:
@@ -60,6 +61,17 @@ class Explanation:
         model, width = self.model, self.model.width
         spread = np.sqrt(self.inflation[:width])
         return with_tolerances(model, np.outer(spread, spread) * model.state.covariance[:width, :width])
+
+    @cached_property
+    def half_widths(self) -> FloatArray:
+        """(m,) of their 95 % intervals, by Student's t of their own scatter between runs."""
+        return np.asarray(stdtrit(self.left.freedom, 0.975) * np.sqrt(np.diag(self.covariance)))
+
+    def weighed(self) -> Explanation:
+        """With effects `within` the tolerances of the rig all of whose sizes have zero in their intervals, too."""
+        beta, pairs = self.model.state.beta, zip(self.model.named, self.model.places())
+        return replace(self, within=self.within | {e.key for e, here in pairs if np.all(
+            np.abs(beta[here]) <= self.half_widths[here], where=np.arange(e.count) < len(e.sizes))})
 
 
 def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
