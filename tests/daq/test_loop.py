@@ -1,7 +1,5 @@
 """`Loop` against the law written out by hand, and `[servo]` tables as loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

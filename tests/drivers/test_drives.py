@@ -1,7 +1,5 @@
 """What holds for every drive: stopped when it should be, its units, its watchdog, its faults, its time."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """moteus: what is its own, and its vendor's library against our emulator and our driver."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from typing import Any

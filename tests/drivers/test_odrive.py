@@ -1,7 +1,5 @@
 """ODrive: what is its own, and the published DBC against our frames and our emulator."""
 
-from __future__ import annotations
-
 import math
 from importlib.resources import files
 from typing import Any

@@ -1,7 +1,5 @@
 """Work on several processes."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

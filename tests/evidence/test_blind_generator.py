@@ -1,7 +1,5 @@
 """The blind bench's generator: its physics against MuJoCo and closed forms, its faults, its files, its score."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`make evidence`: the plan is a fair mixture, the page counts rightly, a study goes on where it stopped."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Families of plants of other makes: what is put into a leg's motion and its readings."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One case through the command line: the library without an effect, crashes, limits, and what is kept of them."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What a user writes: the first script of the README runs as it stands, and types of results are known to mypy."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

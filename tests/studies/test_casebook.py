@@ -3,8 +3,6 @@
 Published figures are those of the data sets' own READMEs.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import re

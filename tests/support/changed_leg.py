@@ -1,7 +1,5 @@
 """Runs of a leg of another engine, the last ones with a change."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

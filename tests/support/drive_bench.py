@@ -1,7 +1,5 @@
 """A drive before its emulator on virtual time, with a leg or a joint held fast behind it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Runs of a driven pendulum that may feel more than its nominal model knows: short, for whole diagnoses in seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Pinocchio gives accelerations by its articulated-body algorithm, which Runge-Kut
 steps by its own semi-implicit Euler rule. Friction is a torque in both.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from typing import Any, NamedTuple, Protocol

@@ -1,7 +1,5 @@
 """A leg of MuJoCo that is let go and swings out, no motor on it: its own dynamics, nothing of the estimator's."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

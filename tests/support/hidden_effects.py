@@ -4,8 +4,6 @@ The plants share no code with the estimator. `evidence.blind.physics` has fricti
 two-mass gear, LuGre bristles, a stop of Hunt and Crossley and a stand as a further body. MuJoCo takes a friction law.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

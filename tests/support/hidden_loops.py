@@ -1,7 +1,5 @@
 """Records of a leg behind a position loop that does otherwise than it says, and the size that a fit should find."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

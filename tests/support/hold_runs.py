@@ -4,8 +4,6 @@ So slowly that nothing has inertia, the shank's moment G sin(theta) follows the 
 and the free pivot hangs where both links balance: beta4 sin q1 + beta5 sin theta = 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A register-level magnetometer of the LSM9DS1."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

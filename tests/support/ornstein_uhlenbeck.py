@@ -1,7 +1,5 @@
 """A coloured disturbance torque drawn by its definition, and a leg's record under it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

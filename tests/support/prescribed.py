@@ -1,7 +1,5 @@
 """Records of arms whose motion is given, and whose torque is what their equation of motion asks for: exact, cheap."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A joint behind a position loop: a pendulum of known parameters that follows a command."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """`legid` as it is typed: a command, the status that it must end with, and what it said."""
 
-from __future__ import annotations
-
 import pytest
 
 from experiments import cli

@@ -7,8 +7,6 @@ ticks of 1 kHz, its torque held from one to the next: by a plan, or by a positio
 motion model is in here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Physics of a leg that does not move, for tests of emulated devices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

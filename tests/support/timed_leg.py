@@ -4,8 +4,6 @@ Runge-Kutta of fourth order at 8 kHz. A controller sets a torque at its ticks, t
 and a log keeps every so-many-th tick. Nothing of the estimator's motion model, and no other engine, is in here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

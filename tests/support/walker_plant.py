@@ -5,8 +5,6 @@ hip. Everything is made of the positions of five points, sum_i C[k, i] u(theta_i
 upright, by their Jacobians; nothing is shared with the estimator. A leg's angle is that of foot to hip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 

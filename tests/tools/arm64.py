@@ -1,7 +1,5 @@
 """Does every dependency have a wheel for 64-bit Arm Linux? `make arm64` asks the package index."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """A leg's record, spoilt as people spoil them: each spoilt column is named with what mends it, a whole one is not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial

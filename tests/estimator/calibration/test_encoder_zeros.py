@@ -1,7 +1,5 @@
 """Encoders' zeros that differ from run to run, on MuJoCo's leg."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

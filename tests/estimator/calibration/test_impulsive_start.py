@@ -3,8 +3,6 @@
 The legs are those of the blind study: an integrator of its own, friction as a set-valued force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

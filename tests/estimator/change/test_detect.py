@@ -1,7 +1,5 @@
 """What changed on a leg of another engine, and on real records into which a fault is put exactly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whether later runs are predicted as well as left-out reference runs, whatever the list of changes says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

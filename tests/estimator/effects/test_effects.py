@@ -1,7 +1,5 @@
 """What an effect says of itself, and what it may not say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Parameters that no mechanism has are held at their bound or named; those of one are left alone."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What happens between samples: reversals and rest of a leg with dry friction, and torque as a controller makes it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A coloured disturbance torque: found where there is one, not where there is none, and declared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

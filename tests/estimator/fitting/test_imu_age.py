@@ -1,7 +1,5 @@
 """How late an IMU is, found before a fit and in it; nothing of the plant is the estimator's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

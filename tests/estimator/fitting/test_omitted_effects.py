@@ -1,7 +1,5 @@
 """Effects that a fit lacks: found where they would move its parameters, not found on legs that have none."""
 
-from __future__ import annotations
-
 import pytest
 
 from daq import Dataset

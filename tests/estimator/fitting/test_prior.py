@@ -1,7 +1,5 @@
 """Known body values and parameters in a fit: by hand, against an exact combination, and on a leg that swings little."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A noise level of each run's own: the plants, their noise and the least squares held against it are the tests'."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

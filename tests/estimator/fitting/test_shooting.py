@@ -1,7 +1,5 @@
 """Multiple shooting against closed forms, finite differences, MuJoCo, and drives with errors that no fit knows of."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

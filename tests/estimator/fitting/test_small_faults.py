@@ -1,7 +1,5 @@
 """Fits take small faults of sensors off the readings where the runs show them, and say so."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 

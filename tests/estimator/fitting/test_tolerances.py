@@ -1,7 +1,5 @@
 """The budget of a fit: intervals that hold what may be wrong with a rig, and parts that add up to them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Torque between samples that no sample shows: its rows and likelihood against differences, its level on PD legs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

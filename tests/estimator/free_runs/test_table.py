@@ -1,7 +1,5 @@
 """The table of errors: what is read off it by hand, and intervals that hold as often as they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

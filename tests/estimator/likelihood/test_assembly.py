@@ -1,7 +1,5 @@
 """Compiled normal equations against those by arrays: every mechanism, every effect, any number of columns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Channels of a chain of more than nine joints, and one subtraction of what effects add to the torque's reading."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Free runs under a command: the loop makes the torque of the simulated motion, MuJoCo being the plant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

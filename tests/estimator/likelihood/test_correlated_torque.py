@@ -1,7 +1,5 @@
 """Torque samples with a full covariance: objective and its derivatives against sums written out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The coloured disturbance: its rows against dense matrices, its innovations, its share of the degrees of freedom."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

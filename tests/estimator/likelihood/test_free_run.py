@@ -1,7 +1,5 @@
 """Torque laws of effects in a simulation: their derivatives, and motion that they change."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`log_marginal` against a dense covariance, quadrature, a change of units, and the marginal of a disturbance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """The law of a position loop: which fault of a reading or of the loop it shows, in runs written down by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Mechanisms against MuJoCo: inverse dynamics and the accelerometer's equations."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

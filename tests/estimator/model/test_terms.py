@@ -1,7 +1,5 @@
 """Whoever uses the table of terms knows each of them, and all get the same from it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

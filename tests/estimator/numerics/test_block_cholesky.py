@@ -1,7 +1,5 @@
 """Block-tridiagonal algebra against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

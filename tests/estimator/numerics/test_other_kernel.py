@@ -1,7 +1,5 @@
 """Which kernel of OpenBLAS is the other one: never one that the processor lacks, never the usual one again."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.tools import other_kernel

@@ -3,8 +3,6 @@
 The truth is a law written out here: added to residuals by hand, or acting in MuJoCo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

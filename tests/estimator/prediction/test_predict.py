@@ -1,7 +1,5 @@
 """How far models predict: closed forms, the noise floor, and what `legid validate` prints of it."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace

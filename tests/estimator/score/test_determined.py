@@ -1,7 +1,5 @@
 """Sets of effects whose sizes the runs do not determine, on a simulated leg."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

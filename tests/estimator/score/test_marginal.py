@@ -1,7 +1,5 @@
 """Nuisances at their tolerances, integrated out; tolerances enlarged where the runs contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

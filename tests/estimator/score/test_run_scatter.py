@@ -1,7 +1,5 @@
 """What runs disagree about: statistics held against the textbook's own formulas, and fits of legs that change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scores alone are those that come with their information, whatever reads the motion and whatever is fitted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What IMUs on any link read, against MuJoCo's sensors; and the joints' motion found back from them."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """IMUs beyond link 1 as a person uses them: rig.toml, CSV files, fit, validate, simulate, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`legid.diagnosis/1` with `against` and `legid.sessions/1` as structs: earlier files are read."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`legid.fit/1` as a struct: files of earlier versions are read, shown and told, and what only a fit has is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

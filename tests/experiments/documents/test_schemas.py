@@ -1,7 +1,5 @@
 """docs/schemas: one JSON Schema a document, as the structs are, which documents keep."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import inf

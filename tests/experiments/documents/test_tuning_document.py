@@ -1,7 +1,5 @@
 """`legid.tuning/1` as a struct: files of earlier versions are read and shown."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`legid.validation/1` as a struct: files of earlier versions are read, and its keys are told."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Several columns of one angle, and remedies that exist: copies are named, and --rate and MATLAB's objects are told."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable

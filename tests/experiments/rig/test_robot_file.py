@@ -1,7 +1,5 @@
 """`legid init --from`: files that legid itself exports come back as they were; others are refused with a remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

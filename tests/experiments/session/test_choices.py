@@ -1,7 +1,5 @@
 """What rig.toml is silent about is chosen by the records, and only what they ask for."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

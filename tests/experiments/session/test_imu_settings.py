@@ -1,7 +1,5 @@
 """The age of an IMU by its settings in rig.toml, against a plant whose IMU has a low pass and arrives late."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A servo that is switched off: its terminals are open, so that its back-EMF does not brake as at 0 V."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The age of an IMU as the recorder states it: an emulated chip behind its low passes, recorded and fitted."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Runs of a servo that says what it was commanded and not what it gave: MuJoCo's leg, through `legid fit` as typed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

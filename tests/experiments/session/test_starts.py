@@ -1,7 +1,5 @@
 """Starts of records in which the mechanism is not alone are left out with a line; all others stay."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,8 +1,6 @@
 """Remedies of a set-up that looks wrong: a unit is named where it explains the torque, and nothing is where columns are
 right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a rig file states of its times, against a plant with times of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A run that no fit can use is set aside by name, with the reason, and the rest goes on."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

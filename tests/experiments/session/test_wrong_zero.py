@@ -1,7 +1,5 @@
 """A joint that hangs elsewhere than at 0: its zero is estimated where gravity shows it, and asked for elsewhere."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A loop whose readings change: by earlier runs and by their MODEL.json the same is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

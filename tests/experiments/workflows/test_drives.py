@@ -1,7 +1,5 @@
 """The tutorial on each emulated drive: record, look, fit, play back; and, slow, the hidden spring."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """`legid simulate --rig`: a model behind its loop follows a plan as MuJoCo's leg followed it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

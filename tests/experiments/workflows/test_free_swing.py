@@ -1,7 +1,5 @@
 """Runs without a torque: swings of MuJoCo's leg, through the commands as they are typed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The published parameters are those of the data sets' own READMEs (models 3.0 and 2.0), in the contract's terms.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """A fit does not hang on what means nothing: the last digits of readings, the order of
 files, when a clock began, the noise levels with which its search begins."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace

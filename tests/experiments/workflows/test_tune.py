@@ -1,7 +1,5 @@
 """`legid tune` chooses by runs that were not fitted, says why, and writes into rig.toml without losing a comment."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace
