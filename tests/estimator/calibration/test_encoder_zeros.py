@@ -13,8 +13,8 @@ from estimator.calibration.encoder_zeros import differing_text, find_differing, 
 from estimator.errors import FitError
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 LEG = Leg()
 SHIFTS = np.array([[0.06, -0.09], [-0.02, 0.03], [0.01, 0.05], [-0.03, -0.01]])
@@ -99,7 +99,7 @@ def test_only_a_zero_that_differs_is_declared(plain: list[Dataset]) -> None:
 
 
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+                                              shell: Shell) -> None:
     files = []
     for data in runs:
         files.append(str(tmp_path / f"{data.name}.csv"))
@@ -108,12 +108,11 @@ def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Pat
     for name, terms in (("plain", "encoder_zero = []"), ("zero", "encoder_zero = [1, 2]\ntorque_offset = []")):
         rig, model = tmp_path / f"{name}.toml", tmp_path / f"{name}.json"
         rig.write_text(RIG.format(terms=terms))
-        assert main(["fit", *files[:3], "--rig", str(rig), "--sensors", "encoder", "--model-out", str(model)]) == 0
-        said = capsys.readouterr().out
+        shell("fit", *files[:3], "--rig", rig, "--sensors encoder --model-out", model)
+        said = shell.out
         assert ("encoders' zeros, another in every run, are taken off" in said) == (name == "zero")
         assert "encoder_offset@1 explains most of it" not in said  # what all runs have in common is off, too
-        assert main(["validate", str(model), files[3], "--rig", str(rig), "--sensors", "encoder",
-                     "--json", str(tmp_path / f"{name}-v.json")]) == 0
+        shell("validate", model, files[3], "--rig", rig, "--sensors encoder --json", tmp_path / f"{name}-v.json")
         errors[name] = rmse(tmp_path / f"{name}-v.json")
     assert errors["zero"] < 0.8 * errors["plain"]
 
@@ -123,8 +122,7 @@ def rmse(path: Path) -> float:
     return float(found["rmse"]["q2_rad"])
 
 
-def test_a_joint_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_joint_that_is_not_there_is_refused(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.format(terms="encoder_zero = [3]"))
-    assert main(["fit", "r.csv", "--rig", str(rig)]) == 2
-    assert "terms.encoder_zero names joint 3, leg2 has 2" in capsys.readouterr().err
+    assert "terms.encoder_zero names joint 3, leg2 has 2" in shell.fails("fit r.csv --rig", rig)

@@ -50,8 +50,7 @@ def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, shell: Shell
     path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
                        structs.asdict(prepared.setup.settings))
     words = ["diagnose", *runs, "--rig", str(rig), "--against"]
-    shell(*words, path, status=2)
-    assert "does not hold how much its runs scatter; give the runs" in shell.err
+    assert "does not hold how much its runs scatter; give the runs" in shell.fails(*words, path)
     model = structs.replace(load_model(path), gear_ratio=prepared.setup.gear_ratio)
     save_model(as_reference(model, prepared), path)
     answers = []
@@ -70,21 +69,17 @@ def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, shell: Shell
     broken = json.loads(path.read_text())
     broken["reference"]["columns"][3] = "another"
     path.write_text(json.dumps(broken))
-    shell(*words, path, status=2)
-    assert "another library of effects" in shell.err
-    shell(*words, path, *earlier, status=2)
-    assert "is not the only reference" in shell.err
+    assert "another library of effects" in shell.fails(*words, path)
+    assert "is not the only reference" in shell.fails(*words, path, *earlier)
     rig.write_text(rig.read_text() + "\n[terms]\nencoder_zero = [2]\n")
-    shell(*words, path, status=2)
-    assert "does not hold the encoders' zeros" in shell.err
+    assert "does not hold the encoders' zeros" in shell.fails(*words, path)
 
 
 def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, shell: Shell) -> None:
     for more, words in ((["--against", str(tmp_path)], "holds no run file"),
                         (["--against", "model.json"], "No such file"),
                         (["--against", "a.csv", "--fix", "beta1=1"], "does not go with --against")):
-        shell("diagnose r.csv", *more, "--rig", RIG, status=2)
-        error = shell.err
+        error = shell.fails("diagnose r.csv", *more, "--rig", RIG)
         assert words in error and "Traceback" not in error
 
 
@@ -137,6 +132,5 @@ def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, 
                         (["a.json", "b.json"], "needs a second model and runs after it"),
                         (["a.json", "b.json", "r.csv", "--workers", "2"], "belongs to a comparison of sessions"),
                         ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
-        shell("compare", *words, "--rig", RIG, status=2)
-        error = shell.err
+        error = shell.fails("compare", *words, "--rig", RIG)
         assert said in error and "Traceback" not in error

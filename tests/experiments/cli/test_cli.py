@@ -49,11 +49,11 @@ def legid(*args: object) -> int:
     return cli.main([str(a) for a in args])
 
 
-def fails(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
+def fails(shell: Shell, status: int, *args: object) -> str:
     """Runs a command that must fail so; returns its one line."""
-    capsys.readouterr()
+    shell.read()
     assert legid(*args) == status
-    error = capsys.readouterr().err
+    error = shell.err
     assert error.count("\n") == 1 and error.startswith("legid") and "Traceback" not in error
     return error
 

@@ -152,8 +152,8 @@ def test_a_fit_that_fails_says_that_the_reference_was_not_compared(
         pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     path = write_model(tmp_path / "m.json", [0.1] * 9, LEG)
     pipeline(Diagnosis("fit_failed", "No diagnosis: the fit did not converge."))
-    shell("diagnose", *runs, "--rig", rig, "--reference", path, status=1)
-    assert "The reference was not compared: that needs a fit of these runs." in shell.err
+    said = shell.fails("diagnose", *runs, "--rig", rig, "--reference", path, status=1)
+    assert "The reference was not compared: that needs a fit of these runs." in said
 
 
 def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, tmp_path: Path,
@@ -179,8 +179,7 @@ def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path:
     for args, says in (([*runs, other], "other.csv"), ([*runs, copy / runs[0].name], "given twice"),
                        ([*runs, "none.csv"], "none.csv"), ([*runs, "--reference", model], "m.json"),
                        ([*runs, "--seed", "-1"], "whole number")):
-        shell("diagnose", *args, "--rig", rig, "--json", tmp_path / "d.json", status=2)
-        error = shell.err
+        error = shell.fails("diagnose", *args, "--rig", rig, "--json", tmp_path / "d.json")
         assert error.count("\n") == 1 and says in error, error
     assert not (tmp_path / "d.json").exists()
 
@@ -189,8 +188,8 @@ def test_native_runs_of_different_rigs(demo_run: Path, tmp_path: Path, shell: Sh
     text, other = RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"), tmp_path / "b.mcap"
     assert text != RIG.read_text()
     record_emulated(other, load_rig(RIG), text, random_multisine(1, 4.0, 0.3), 1)
-    shell("diagnose", demo_run, other, "--rig", RIG, status=2)
-    assert f"b.mcap: was recorded on another rig than {demo_run.name}" in shell.err
+    said = shell.fails("diagnose", demo_run, other, "--rig", RIG)
+    assert f"b.mcap: was recorded on another rig than {demo_run.name}" in said
 
 
 # -- what an emulated leg hides ----------------------------------------------------------------------------

@@ -80,8 +80,7 @@ def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: p
 def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                               shell: Shell) -> None:
     install(tmp_path, "broken_effect", code, "broken_effect:Mine", monkeypatch)
-    shell("effects", status=2)
-    error = shell.err
+    error = shell.fails("effects")
     assert says in error and "legid.effects" in error and error.count("\n") == 1
     monkeypatch.delitem(sys.modules, "broken_effect", raising=False)
 

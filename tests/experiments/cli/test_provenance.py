@@ -38,11 +38,9 @@ def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, f
     assert said.count("same") == 2 and "CHANGED" not in said
     data = (folder / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[:-9] + bytes(9))
-    shell("verify", folder / name, tmp_path, status=1)
-    assert "run.mcap (CHANGED)" in shell.err
+    assert "run.mcap (CHANGED)" in shell.fails("verify", folder / name, tmp_path, status=1)
     (tmp_path / "run.mcap").unlink()
-    shell("verify", folder / name, tmp_path, status=1)
-    assert "run.mcap (missing)" in shell.err
+    assert "run.mcap (missing)" in shell.fails("verify", folder / name, tmp_path, status=1)
 
 
 @pytest.mark.parametrize(("command", "read"), [
@@ -64,8 +62,7 @@ def test_every_other_document_says_what_it_was_made_from(command: list[str], rea
 @pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
 def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "x.json").write_text(text)
-    shell("verify", tmp_path / "x.json", status=2)
-    assert "says nothing of the files" in shell.err
+    assert "says nothing of the files" in shell.fails("verify", tmp_path / "x.json")
 
 
 def test_a_damaged_run_is_used_only_when_asked_for_and_the_documents_say_so(
@@ -103,5 +100,4 @@ def test_the_rig_of_the_run_is_compared_with_the_one_given(
     shell("validate", folder / "model.json", "none.csv --quiet", status=2)
     assert "none.csv" in shell.err  # ./rig.toml was taken, the run is what is missing
     other.unlink()
-    shell("fit none.csv", status=2)
-    assert "--rig: is not given" in shell.err
+    assert "--rig: is not given" in shell.fails("fit none.csv")

@@ -53,8 +53,7 @@ def test_columns_in_other_units(command: str, what: str, bench: Bench, tmp_path:
     model, *rest = bench(factors)
     before = {"validate": [model], "compare": [model, model]}.get(command, [])
     more = {"diagnose": ["--json", str(tmp_path / "d.json")], "fit": ["--method", "wls"]}.get(command, [])
-    shell(command, *before, *rest, *more, status=1)
-    error = shell.err
+    error = shell.fails(command, *before, *rest, *more, status=1)
     assert error.count("\n") == 1 and remedy in error
     if command == "diagnose":
         found = json.loads((tmp_path / "d.json").read_text())

@@ -11,6 +11,7 @@ import legid
 from experiments import cli
 from experiments.cli.command import Command, OneOf
 from tests.support.paths import FIXTURES, ROOT
+from tests.support.shell import typed
 
 FOLDER = ROOT / "experiments/cli/commands"
 HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
@@ -77,7 +78,7 @@ def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made
     model, shell, python = tmp_path / "model.json", tmp_path / "shell.json", tmp_path / "python.json"
 
     def same(found: Any, *words: object) -> Any:
-        assert cli.main([*map(str, words), "--json", str(shell), "--force"]) == 0
+        typed(*map(str, words), "--json", shell, "--force")
         python.unlink(missing_ok=True)
         found.to_json(python)
         assert answer(shell) == answer(python)

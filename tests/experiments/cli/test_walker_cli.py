@@ -9,8 +9,7 @@ import pytest
 
 from daq import Dataset
 from daq.runs import write_csv
-from experiments import cli
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 from tests.support.walker_plant import RIG, Gait, Law, Plant, Walker, no_loss, record, walk
 
 GEARED = RIG + "[motor]\ngear_ratio = 20.0\n"
@@ -35,8 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(folder: Path) -> Path:
     out = folder / "model.json"
-    assert cli.main(["fit", str(folder / "walk2.csv"), "--rig", str(folder / "rig.toml"), "--json",
-                     str(folder / "fit.json"), "--model-out", str(out)]) == 0
+    typed("fit", folder / "walk2.csv", "--rig", folder / "rig.toml", "--json", folder / "fit.json", "--model-out", out)
     return out
 
 
@@ -65,8 +63,8 @@ def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, shell: Shell
 def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, shell: Shell) -> None:
     plan = folder / "plan.csv"
     plan.write_text("time_s,tau2_cmd_nm\n0,1\n0.1,1\n")
-    shell("simulate", model, "--plan", plan, "--out", folder / "x.csv", status=2)
-    assert "is a walker, which falls under a plan" in shell.err
+    said = shell.fails("simulate", model, "--plan", plan, "--out", folder / "x.csv")
+    assert "is a walker, which falls under a plan" in said
 
 
 @pytest.mark.parametrize(("change", "said"), [
@@ -81,19 +79,16 @@ def test_a_record_that_cannot_be_cut_is_refused(folder: Path, shell: Shell, chan
         data = replace(data, columns=columns | {"stance": np.ones(count)})
     path = folder / data.name
     write_csv(data, path)
-    shell("fit", path, "--rig", folder / "rig.toml", status=1)
-    error = shell.err
+    error = shell.fails("fit", path, "--rig", folder / "rig.toml", status=1)
     assert said in error and error.count("\n") == 1
 
 
 def test_only_a_biped_walks(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
-    shell("fit", rig, "--rig", rig, status=2)
-    assert "[walker]: that is for a biped3" in shell.err
+    assert "[walker]: that is for a biped3" in shell.fails("fit", rig, "--rig", rig)
     rig.write_text('[mechanism]\nmodel = "biped3"\nactuated = [2, 3]\n[walker]\n[[imu]]\nlink = 3\n')
-    shell("fit", rig, "--rig", rig, status=2)
-    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.err
+    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.fails("fit", rig, "--rig", rig)
 
 
 @pytest.mark.slow

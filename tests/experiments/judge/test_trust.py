@@ -16,7 +16,6 @@ from estimator import Combination, Finding, FitOptions, Trajectory, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
 from estimator.result import OmittedEffect
-from experiments import cli
 from experiments.documents import ComparisonDocument
 from experiments.emulation import EFFECTS, NOTHING, record_emulated
 from experiments.excite import random_multisine
@@ -37,7 +36,7 @@ from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +56,7 @@ def fits(folder: Path) -> dict[str, str]:
     for name in ("none", "joint_stiffness"):
         runs = [str(path) for k in (0, 1) if (path := folder / f"{name}{k}.mcap").exists()]
         with redirect_stdout(io.StringIO()) as out:
-            assert cli.main(["fit", *runs, "--model-out", str(folder / f"{name}.json")]) == 0
+            typed("fit", *runs, "--model-out", folder / f"{name}.json")
         said[name] = out.getvalue().splitlines()[0]
     return said
 
@@ -88,10 +87,10 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
 
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
-        folder: Path, fits: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        folder: Path, fits: dict[str, str], tmp_path: Path, shell: Shell) -> None:
     def printed(*arguments: str) -> list[str]:
-        assert cli.main(list(arguments)) == 0
-        return capsys.readouterr().out.splitlines()
+        typed(*list(arguments))
+        return shell.out.splitlines()
 
     def said(*arguments: str) -> str:
         return printed(*arguments)[0]

@@ -88,13 +88,13 @@ def test_validate_and_compare_use_it(tmp_path: Path, shell: Shell) -> None:
     assert all(row["b"] > 2.0 * row["a"] for row in told["errors"])
 
 
-def test_a_motion_beyond_its_range_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_motion_beyond_its_range_is_told(tmp_path: Path, shell: Shell) -> None:
     narrow = msgspec.structs.replace(SPRING, knots=((-0.05, 0.05),), values=(-0.01, 0.01))
     run_of(with_table(narrow), tmp_path)
-    said = capsys.readouterr().err
+    said = shell.err
     assert "angle of joint 2" in said and "leaves the range" in said
     run_of(with_table(SPRING), tmp_path)
-    assert "leaves the range" not in capsys.readouterr().err
+    assert "leaves the range" not in shell.err
     with pytest.warns(UserWarning, match="angle of joint 2"):
         legid.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
 

@@ -134,8 +134,7 @@ def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str,
         load_model(path)
     assert says in str(caught.value) and str(path) in str(caught.value)
     write_plan(random_multisine(5, 6.0, 0.5), tmp_path / "p.csv")
-    shell("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv", status=2)
-    error = shell.err
+    error = shell.fails("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv")
     assert says in error and error.count("\n") == 1 and not (tmp_path / "r.csv").exists()
 
 

@@ -10,12 +10,12 @@ from daq import Dataset, FloatArray
 from daq.rig import parse_rig
 from daq.runs.csv_run import RawTable
 from daq.timing.resample import align_table
-from experiments.cli import main
 from experiments.session.lost_samples import with_lost_samples
 from experiments.session.setup import setup_of
 from experiments.workflows import fit_runs
 from tests.support.driven_pendulum import pendulum_run
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 IMU = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
 ENCODERS = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -75,14 +75,14 @@ def test_a_constant_delay_is_no_loss(count: int) -> None:
     assert corrected(late, ENCODERS).readings == ()
 
 
-def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, shell: Shell) -> None:
     run = pendulum_run("r", 4)
     half = len(run) // 2
     columns = [run.time_s, run["q1_rad"], lose(run["tau1_nm"], half, 4)]
     np.savetxt(tmp_path / "r.csv", np.column_stack(columns), delimiter=",", comments="", header="time_s,q1_rad,tau1_nm")
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
-    assert main(["fit", str(tmp_path / "r.csv"), "--rig", str(tmp_path / "rig.toml")]) == 0
-    said = capsys.readouterr().out
+    shell("fit", tmp_path / "r.csv", "--rig", tmp_path / "rig.toml")
+    said = shell.out
     assert "against the other columns at about" in said
     beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])
     assert beta1 == pytest.approx(0.05, rel=0.1)

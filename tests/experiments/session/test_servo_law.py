@@ -13,12 +13,12 @@ from daq import Dataset, InputError
 from daq.rig import parse_rig
 from daq.runs.csv_run import write_csv
 from evidence.servos import Hidden, draw, record
-from experiments.cli import main
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow
+from tests.support.shell import Shell, typed
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
 RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
@@ -36,7 +36,7 @@ def fitted(folder: Path, runs: list[Dataset], servo: str, *options: str) -> dict
     for run, path in zip(runs, paths):
         write_csv(run, path)
     out = folder / "fit.json"
-    assert main(["fit", *map(str, paths), "--rig", str(folder / "rig.toml"), *options, "--json", str(out)]) == 0
+    typed("fit", *map(str, paths), "--rig", folder / "rig.toml", *options, "--json", out)
     told: dict[str, Any] = json.loads(out.read_text())
     return told
 
@@ -205,12 +205,12 @@ def test_a_wrong_scale_is_named_with_the_place_where_it_is_wrong(leg: Leg, fault
     assert where in found.text()
 
 
-def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, shell: Shell) -> None:
     run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
     (tmp_path / "rig.toml").write_text(RIG)
     write_csv(run, tmp_path / "run.csv")
-    assert main(["fit", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]) == 1
-    assert "give it as gain under [servo], or give one parameter" in capsys.readouterr().err
+    said = shell.fails("fit", tmp_path / "run.csv", "--rig", tmp_path / "rig.toml", status=1)
+    assert "give it as gain under [servo], or give one parameter" in said
     bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):

@@ -10,6 +10,7 @@ from daq import load_rig
 from experiments.cli import main
 from experiments.session import prepare
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.shell import Shell
 
 
 @pytest.mark.parametrize(("first", "zero"), [(40, 0.0), (260, 0.0), (40, 0.5), (260, 0.5)])
@@ -25,7 +26,7 @@ def test_the_part_whose_zero_explains_the_torque_is_kept(first: int, zero: float
     assert any("its zero has changed" in str(flag) for flag in found.told)
 
 
-def test_a_clipped_torque_is_told_in_every_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_clipped_torque_is_told_in_every_form(tmp_path: Path, shell: Shell) -> None:
     run = pendulum_run("r", 6)
     torque = np.clip(run["tau1_nm"], -0.6, 0.6)
     np.savetxt(tmp_path / "r.csv", np.column_stack([run.time_s, run["q1_rad"], torque]), delimiter=",", comments="",
@@ -35,7 +36,7 @@ def test_a_clipped_torque_is_told_in_every_form(tmp_path: Path, capsys: pytest.C
     fit = ["fit", str(tmp_path / "r.csv"), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")]
     for command in (["info", str(tmp_path / "r.csv")], fit):
         main(command)
-        assert told in capsys.readouterr().out
+        assert told in shell.out
     (fault,) = json.loads((tmp_path / "f.json").read_text())["readings"]
     assert (fault["run"], fault["column"], fault["what"], fault["done"]) == ("r.csv", "tau1_nm", "clipped", "left_out")
     assert sum(b - a + 1 for a, b in fault["rows"]) == np.sum(np.abs(torque) == 0.6)

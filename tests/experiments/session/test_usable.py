@@ -12,9 +12,9 @@ from daq.runs import RawTable
 from daq.timing.resample import align_table
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.cli import main
 from experiments.session.usable import usable_runs
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, negated, written
+from tests.support.shell import Shell
 
 GOOD = [arm_run(k, seconds=6.0) for k in range(4)]
 
@@ -57,18 +57,18 @@ def test_good_runs_and_a_single_one_are_kept() -> None:
     assert not usable_runs([*GOOD, quiet[0]][:3], leg2(actuated=(0, 1)), FitOptions(sensors="encoder"))[1]
 
 
-def test_fit_and_validate_go_on_without_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_and_validate_go_on_without_it(tmp_path: Path, shell: Shell) -> None:
     runs = written([*GOOD, replace(locked(arm_run(8, seconds=6.0)), name="bad.csv")], tmp_path)
     rig, model, out = (tmp_path / name for name in ("rig.toml", "model.json", "out.json"))
     rig.write_text(ARM_RIG)
-    assert main(["fit", *runs, "--rig", str(rig), "--json", str(out), "--model-out", str(model)]) == 0
-    assert "warning: bad.csv is set aside: joint 2 never moves" in capsys.readouterr().out
+    shell("fit", *runs, "--rig", rig, "--json", out, "--model-out", model)
+    assert "warning: bad.csv is set aside: joint 2 never moves" in shell.out
     document = json.loads(out.read_text())
     assert [a["run"] for a in document["set_aside"]] == ["bad.csv"]
     assert np.allclose([p["value"] for p in document["parameters"][:5]], BETA[:5], rtol=0.03)
     out = tmp_path / "validation.json"
-    assert main(["validate", str(model), *runs[3:], "--rig", str(rig), "--json", str(out)]) == 0
-    assert "bad.csv is set aside" in capsys.readouterr().err
+    shell("validate", model, *runs[3:], "--rig", rig, "--json", out)
+    assert "bad.csv is set aside" in shell.err
     assert {r["run"] for r in json.loads(out.read_text())["runs"]} == {"run3.csv"}
 
 

@@ -18,6 +18,7 @@ from experiments.session.setup import Setup, setup_of
 from experiments.session.suspicion import suspect
 from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.shell import Shell
 
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -68,13 +69,13 @@ def written(path: Path, time_s: FloatArray, columns: Mapping[str, FloatArray]) -
     return path
 
 
-def test_a_fit_of_little_motion_asks_for_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_of_little_motion_asks_for_motion(tmp_path: Path, shell: Shell) -> None:
     """It ended as "a mass that is not positive", with segments that disagree by numbers of ninety digits."""
     run = record(Leg(), np.random.default_rng(4), seconds=10.0, amplitude=0.08, high=1.0)
     file = written(tmp_path / "weak.csv", run.time_s, {name: x for name, x in run.columns.items() if name != "q1_rad"})
     (tmp_path / "rig.toml").write_text(IMU)
     status = main(["fit", str(file), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")])
-    said = capsys.readouterr()
+    said = shell.read()
     document = json.loads((tmp_path / "f.json").read_text())
     first = said.out.splitlines()[0]
     assert "not positive" not in said.out and "negated" not in said.out + said.err

@@ -19,7 +19,7 @@ from experiments.models import EffectValue, known_effects, load_model, save_mode
 from tests.support.exported_models import EFFECTS
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 RATE_HZ = 500.0
 SECONDS = 4.0
@@ -31,7 +31,7 @@ def leg_beta(leg: Leg, viscous: float = 1.0, coulomb: float = 0.0) -> list[float
 
 def export(folder: Path, kind: str, model: Path) -> Path:
     out = folder / f"model.{kind}"
-    assert main(["export", str(model), "--to", kind, "--out", str(out)]) == 0
+    typed("export", model, "--to", kind, "--out", out)
     return out
 
 
@@ -106,12 +106,12 @@ def extend(path: Path, name: str, sizes: Mapping[str, float], joint: int | None)
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_mjcf_holds_effects(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mjcf_holds_effects(name: str, tmp_path: Path, shell: Shell) -> None:
     """Five seconds under the torque as it was measured: angles, and the IMU's readings."""
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(1))), LEG)
     extend(model, name, EFFECTS[name].sizes, EFFECTS[name].joint)
     followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-7, "tau2_nm", imu=True)
-    assert "left out" not in capsys.readouterr().err
+    assert "left out" not in shell.err
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -121,14 +121,14 @@ def test_mjcf_rubs_as_the_simulation_does(seed: int, tmp_path: Path) -> None:
     assert np.ptp(followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-3), axis=0).min() > 0.5
 
 
-def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, shell: Shell) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     for name, sizes, joint, kind in (("gyro_bias", {"bias": 0.01}, None, "mjcf"),
                                      ("joint_stiffness", {"stiffness": -0.1, "preload": 0.0}, 2, "urdf"),
                                      ("quadratic_drag", {"drag": 0.01}, 2, "urdf")):
         export(tmp_path, kind, extend(write_model(model, leg_beta(Leg()), LEG), name, sizes, joint))
         assert f"{kind.upper()} cannot hold these effects of the model, they are left out: {name}" in \
-            capsys.readouterr().err
+            shell.err
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -170,13 +170,13 @@ def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.dof_frictionloss, beta[7:9])
 
 
-def test_rotor_and_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rotor_and_offset(tmp_path: Path, shell: Shell) -> None:
     beta = [*leg_beta(Leg()), 0.01, 0.15]
     model = write_model(tmp_path / "m.json", beta, {**LEG, "rotor_inertia": (2,), "torque_offset": (2,)})
     followed(tmp_path, model, [0.0, 0.0])
-    capsys.readouterr()
+    shell.read()
     export(tmp_path, "urdf", model)
-    notes = capsys.readouterr().err
+    notes = shell.err
     assert "no rotor inertia: 0.01" in notes and "no torque offset: 0.15" in notes
 
 
@@ -191,13 +191,13 @@ def test_one_joint_and_a_chain(tmp_path: Path) -> None:
     assert load(tmp_path, "mjcf", chain).nq == 2
 
 
-def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_format_cannot_hold_is_said(tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg(), coulomb=1.0)
     beta[5] = -0.003
     model = write_model(tmp_path / "m.json", beta, LEG)
     loaded = load(tmp_path, "mjcf", model)
     assert loaded.dof_damping[0] == 0.0
-    notes = capsys.readouterr().err
+    notes = shell.err
     assert "viscous friction of pivot is -0.003" in notes and "frictionloss" in notes
 
 
@@ -208,8 +208,7 @@ def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Pa
     for k, value in changes.items():
         beta[k] = value
     model = write_model(tmp_path / "m.json", beta, LEG)
-    shell("export", model, "--to mjcf --out", tmp_path / "x.xml", status=2)
-    error = shell.err
+    error = shell.fails("export", model, "--to mjcf --out", tmp_path / "x.xml")
     assert words in error and error.count("\n") == 1
     assert not (tmp_path / "x.xml").exists()
 

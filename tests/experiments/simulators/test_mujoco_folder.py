@@ -165,8 +165,7 @@ def test_what_no_export_can_hold_is_refused_by_name(tmp_path: Path, shell: Shell
                             "the leg alone has")}
     for name, (changed, words) in cases.items():
         save_model(model_of(tmp_path, 1, (name,), changed), tmp_path / "m.json")
-        shell("export", tmp_path / "m.json", "--to mujoco --out", tmp_path / "x", status=2)
-        error = shell.err
+        error = shell.fails("export", tmp_path / "m.json", "--to mujoco --out", tmp_path / "x")
         assert name in error and words in error and "take it out of `effects`" in error and error.count("\n") == 1
     assert not (tmp_path / "x").exists()
 

@@ -59,8 +59,8 @@ def test_a_drive_that_is_only_read_records_no_plan(tmp_path: Path, shell: Shell)
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
     rig.write_text(rig_text("feetech"))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
-    shell("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=1)
-    assert "has no watchdog, so a lost host would leave the torque on" in shell.err
+    said = shell.fails("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=1)
+    assert "has no watchdog, so a lost host would leave the torque on" in said
 
 
 def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path: Path, shell: Shell) -> None:
@@ -68,10 +68,8 @@ def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path
     rig.write_text(rig_text("moteus").replace("/dev/ttyACM0", str(tmp_path / "no-port")))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
     record = ["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap")]
-    shell(*record, status=2)
-    assert "--estop-at-hand" in shell.err
-    shell(*record, "--estop-at-hand", status=1)
-    assert "no such port" in shell.err
+    assert "--estop-at-hand" in shell.fails(*record)
+    assert "no such port" in shell.fails(*record, "--estop-at-hand", status=1)
 
 
 def test_the_question_is_answered_by_yes_alone(monkeypatch: pytest.MonkeyPatch) -> None:

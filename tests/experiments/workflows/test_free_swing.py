@@ -10,7 +10,6 @@ import pytest
 from daq.runs import write_csv
 from estimator import FitOptions, fit
 from estimator.model import leg2
-from experiments.cli import main
 from experiments.judge import friction_shares
 from tests.support.free_swing import swing
 from tests.support.mujoco_leg import Leg, random_leg
@@ -65,12 +64,12 @@ def test_no_share_is_told_where_a_fit_finds_no_friction(leg: Leg) -> None:
     assert one.joint == 1
 
 
-def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]
+def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, shell: Shell
                                                      ) -> None:
     runs = files(tmp_path, leg, "[2]", True, 1)
     for command in ("fit", "diagnose"):
-        assert main([command, *runs, "--quiet"] if command == "diagnose" else [command, *runs]) == 1
-        told = capsys.readouterr().err.strip().splitlines()[-1]
+        shell(*[command, *runs, "--quiet"] if command == "diagnose" else [command, *runs], status=1)
+        told = shell.err.strip().splitlines()[-1]
         assert "give one, e.g. --fix beta5=VALUE (m2*lc2 [kg m])" in told
 
 
