@@ -15,7 +15,7 @@ LEG = {"beta1": 0.10128, "beta2": 0.02368, "beta3": 0.0336, "beta4": 0.384, "bet
 PENDULUM = {"beta1": 0.05, "beta2": 0.12}
 
 
-@pytest.mark.parametrize(("run", "rig", "truth", "percent", "told"), [
+@pytest.mark.parametrize("run, rig, truth, percent, told", [
     ("torque_clipped/r1.csv", "rig.toml", LEG, 2.0, "stands at exactly +-1.2 N m in 11 % of the samples"),
     ("torque_clipped/r6.csv", "rig.toml", LEG, 2.0, "stands at exactly +-1.2 N m in 14 % of the samples"),
     ("torque_clipped/clip0.6_r1.csv", "rig.toml", LEG, 2.0, "stands at exactly +-0.6 N m in 38 % of the samples"),
@@ -45,7 +45,7 @@ def test_a_gyro_of_a_wrong_scale_is_named_and_not_trusted(capsys: pytest.Capture
     assert "scale error -0.15" in said.out and "run legid diagnose" in said.out and "richer" not in said.err
 
 
-@pytest.mark.parametrize(("file", "options", "columns"), [
+@pytest.mark.parametrize("file, options, columns", [
     ("clock_text/iso.csv", [], {"q1_rad", "tau1_nm"}), ("clock_text/german.csv", [], {"q1_rad", "tau1_nm"}),
     ("header_units/u_ndot.csv", [], {"q1_rad", "tau1_nm"}), ("header_units/ni.csv", [], {"q1_rad", "tau1_nm"}),
     ("encoder_wrap/wrap_imp.csv", [], {"q1_rad", "tau1_nm"}),
@@ -66,7 +66,7 @@ def test_an_import_finds_the_columns(file: str, options: list[str], columns: set
     assert len(table) >= 999 and np.median(steps) == pytest.approx(steps.mean(), rel=1e-3)
 
 
-@pytest.mark.parametrize(("file", "status", "told"), [
+@pytest.mark.parametrize("file, status, told", [
     ("clock_text/openlog.csv", 2, "give --rate HZ"), ("clock_text/excel.csv", 2, "its times have 7 digits only"),
     ("torque_denormal/denormal.csv", 2, "'effort' holds no torque"),
     ("no_time_message/no_time.csv", 2, "give its rate by --rate HZ"),
@@ -86,7 +86,7 @@ def test_one_column_is_read_by_a_map(tmp_path: Path) -> None:
     assert len(np.loadtxt(tmp_path / "swing.csv", delimiter=",", skiprows=1)) == 4000
 
 
-@pytest.mark.parametrize(("file", "map_of", "samples", "missing"), [
+@pytest.mark.parametrize("file, map_of, samples, missing", [
     ("moves_said_still/whirl.csv", "hip_deg", 2000, 0), ("moves_said_still/small_then_large.csv", "angle_deg", 2000, 0),
     ("moves_said_still/spin_up.csv", "angle_deg", 1600, 0), ("encoders_zero_for_moments/good.csv", "hip_deg", 2000, 0),
     ("encoders_zero_for_moments/lost.csv", "hip_deg", 2000, 30)])

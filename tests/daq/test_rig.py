@@ -25,7 +25,7 @@ def test_what_is_absent_is_unknown_or_default() -> None:
     assert rig.calibration.imu_mount[0] == (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("text", "named"), [
+@pytest.mark.parametrize("text, named", [
     ('[mechanism]\nmodel = "leg3"\nactuated = [2]\n', "mechanism.model"),
     ('[mechanism]\nmodel = "leg2"\n', "actuated"),
     (LEG + "[sampling]\nrate_hz = -1\n", "sampling.rate_hz"),
@@ -71,7 +71,7 @@ def test_joints_of_each_mechanism() -> None:
 ARM = '[mechanism]\nmodel = "leg2"\nactuated = [2, 1]\n[noise]\n'
 
 
-@pytest.mark.parametrize(("text", "named"), [
+@pytest.mark.parametrize("text, named", [
     ("accel_mps2 = [0.05]", "noise.accel_mps2 has 1 levels"), ("accel_mps2 = [0.05, 0.0]", "noise.accel_mps2"),
     ("accel_mps2 = [0.1, 0.1, 0.1]", "noise.accel_mps2 has 3 levels"), ("accel_mps2 = [0.1, nan]", "noise.accel_mps2"),
     ("torque_nm = [0.02]", "noise.torque_nm has 1 levels, the mechanism has 2 driven joints"),

@@ -89,7 +89,7 @@ def test_a_scripted_session_byte_for_byte() -> None:
     assert end[1:] == (int(State.FAULT), 0, (0, 0, 0), 0)
 
 
-@pytest.mark.parametrize(("name", "value", "good", "fault", "shown"), [
+@pytest.mark.parametrize("name, value, good, fault, shown", [
     ("bus_mv", 12_000, 24_000, Fault.UNDERVOLTAGE, 12.0), ("bus_mv", 31_000, 24_000, Fault.OVERVOLTAGE, 31.0),
     ("motor_cdegc", 9_500, 2_500, Fault.OVERTEMPERATURE, 95.0), ("knee", LOST, 0, Fault.KNEE_ENCODER, None),
     ("knee_hall", LOST, 0, Fault.KNEE_HALL, None), ("pivot_hall", LOST, 0, Fault(0), None),
@@ -203,7 +203,7 @@ def test_the_hardware_watchdog_is_restarted_only_while_everything_runs() -> None
     assert run_script(["90000 end"])[2][3] > 170
 
 
-@pytest.mark.parametrize(("what", "refusal"), [
+@pytest.mark.parametrize("what, refusal", [
     ("none 0", 0), ("telemetry_hz 0", 3), ("telemetry_hz 300", 3), ("telemetry_hz 1001", 3), ("gear_ratio 0", 4),
     ("torque_limit 0", 5), ("torque_limit -5", 5), ("torque_limit 134217728", 5), ("watchdog_ms 4", 6),
     ("watchdog_ms 1001", 6), ("current_limit 0", 7), ("current_limit -2147483648", 7), ("temperature_limit 0", 8),

@@ -161,7 +161,7 @@ def test_bus_off_is_named_after_what_came_before_it(monkeypatch: pytest.MonkeyPa
             link.read()
 
 
-@pytest.mark.parametrize(("number", "said"), [(100, "ip link set can0 up"), (19, "is gone"), (6, "is gone"),
+@pytest.mark.parametrize("number, said", [(100, "ip link set can0 up"), (19, "is gone"), (6, "is gone"),
                                               (105, "takes no more frames"), (5, "fails")])
 def test_errors_of_the_bus_are_said_in_words(monkeypatch: pytest.MonkeyPatch, number: int, said: str) -> None:
     error = can.CanOperationError("broken", error_code=number)

@@ -212,7 +212,7 @@ def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
     bench.drive.close()
 
 
-@pytest.mark.parametrize(("break_it", "fault"), [
+@pytest.mark.parametrize("break_it, fault", [
     (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER),
     (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE),
     (lambda far: setattr(far, "bus_v", 50.0), Fault.OVERVOLTAGE),

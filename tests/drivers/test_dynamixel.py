@@ -36,7 +36,7 @@ PRINTED = [
 ]
 
 
-@pytest.mark.parametrize(("what", "made", "printed"), PRINTED, ids=[what for what, _, _ in PRINTED])
+@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
 def test_packets_are_those_that_the_e_manual_prints(what: str, made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = dxl.Decoder().feed(made)
@@ -187,7 +187,7 @@ def test_a_sync_read_has_both_answer_in_turn() -> None:
 # -- refusals ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("at", "data", "line"), [
+@pytest.mark.parametrize("at, data, line", [
     (Address.MODEL_NUMBER, struct.pack("<H", 1060), "model number 1060 is none that this program knows"),
     (Address.FIRMWARE_VERSION, b"\x25", "firmware 37 has no Bus Watchdog.*DYNAMIXEL Wizard"),
     (Address.STATUS_RETURN_LEVEL, b"\0", "answers a ping and no read")])

@@ -24,7 +24,7 @@ PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
 """As Feetech's "SCS Communication Protocol Manual" prints them."""
 
 
-@pytest.mark.parametrize(("what", "made", "printed"), PRINTED, ids=[what for what, _, _ in PRINTED])
+@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
 def test_packets_are_those_that_the_manual_prints(what: str, made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = sts.Decoder().feed(made)
@@ -56,7 +56,7 @@ def test_any_cut_of_the_stream_gives_the_same_packets_and_damage_is_counted() ->
 
 
 @pytest.mark.parametrize("turns", [1.0, -1.0])
-@pytest.mark.parametrize(("angle", "phase"), [(0.4, 0), (3.0, 0), (-7.5, sts.MULTI_TURN), (20.0, sts.MULTI_TURN)])
+@pytest.mark.parametrize("angle, phase", [(0.4, 0), (3.0, 0), (-7.5, sts.MULTI_TURN), (20.0, sts.MULTI_TURN)])
 def test_angles_currents_and_volts_are_the_joint_s(turns: float, angle: float, phase: int) -> None:
     bench = DriveBench("feetech", StillPlant(StillState(q2=angle)), turns=turns)
     bench.far.table[Address.PHASE] = phase
@@ -143,7 +143,7 @@ def test_no_byte_of_the_driver_turns_it_on() -> None:
     assert len(writes) >= 4 and set(writes) == {bytes([Address.TORQUE_ENABLE, 1, 1, 0])}
 
 
-@pytest.mark.parametrize(("break_it", "fault", "said"), [
+@pytest.mark.parametrize("break_it, fault, said", [
     (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER, "magnetic encoder"),
     (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE, "input voltage"),
     (lambda far: setattr(far, "bus_v", 25.4), Fault.OVERVOLTAGE, "input voltage"),

@@ -42,7 +42,7 @@ def bench() -> Bench:
     return bench
 
 
-@pytest.mark.parametrize(("rate_hz", "gyro_hz", "accel_hz"), [
+@pytest.mark.parametrize("rate_hz, gyro_hz, accel_hz", [
     (14.9, 5.0, 408.0), (59.5, 19.0, 408.0), (119.0, 38.0, 50.0), (238.0, 76.0, 105.0), (476.0, 100.0, 211.0),
     (952.0, 100.0, 408.0)])
 def test_low_passes_of_the_datasheet_where_its_registers_choose_none(rate_hz: float, gyro_hz: float, accel_hz: float
@@ -68,7 +68,7 @@ def test_configuration_bytes_of_the_datasheet() -> None:
     assert bench.writes[-1][0] == 0x2E
 
 
-@pytest.mark.parametrize(("gyro", "accel", "mdps", "mg"), [
+@pytest.mark.parametrize("gyro, accel, mdps, mg", [
     (245, 2, 8.75, 0.061), (500, 4, 17.5, 0.122), (2000, 8, 70.0, 0.244), (500, 16, 17.5, 0.732)])
 def test_scales_are_the_datasheets(gyro: int, accel: int, mdps: float, mg: float) -> None:
     scale = ImuConfig(gyro_range_dps=gyro, accel_range_g=accel).scale
@@ -187,7 +187,7 @@ def test_a_browned_out_chip_is_noticed_and_configured_anew(bench: Bench) -> None
     assert len(batches[-1].raw)
 
 
-@pytest.mark.parametrize(("errno", "kind", "words"), [
+@pytest.mark.parametrize("errno, kind, words", [
     (19, DeviceAbsent, "no device"), (121, DeviceAbsent, "no acknowledge"), (6, DeviceAbsent, "no device"),
     (5, DeviceAbsent, "bus error"), (110, DeviceAbsent, "held low"), (11, DeviceAbsent, "arbitration lost"),
     (16, DeviceBusy, "kernel driver"), (107, DeviceAbsent, "adapter is gone"),

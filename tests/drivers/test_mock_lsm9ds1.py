@@ -202,7 +202,7 @@ class Ramp:
         return StillState(q1d=8.0 * since, q1dd=100.0 * since)
 
 
-@pytest.mark.parametrize(("gyro", "gyro_hz", "accel_hz"), [
+@pytest.mark.parametrize("gyro, gyro_hz, accel_hz", [
     (0x68, 38.0, 50.0), (0x88, 76.0, 105.0), (0xA8, 100.0, 211.0)])
 def test_readings_of_a_ramp_lag_by_the_time_constants_of_the_low_passes(gyro: int, gyro_hz: float, accel_hz: float
                                                                         ) -> None:

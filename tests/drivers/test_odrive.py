@@ -35,7 +35,7 @@ def test_the_watchdog_is_proven_before_the_motor_turns() -> None:
     assert first - began > 100e6, "nothing may turn before the watchdog has shown itself"
 
 
-@pytest.mark.parametrize(("setting", "value", "how"), [
+@pytest.mark.parametrize("setting, value, how", [
     ("watchdog_on", False, "did not act in time"), ("watchdog_s", 1.0, "did not act in time"),
     ("watchdog_s", 0.03, "acted after"), ("polling_feeds", True, "did not act in time")])
 def test_a_watchdog_that_would_not_end_the_torque_is_refused(setting: str, value: Any, how: str) -> None:

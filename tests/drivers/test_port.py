@@ -131,7 +131,7 @@ def test_the_button_takes_the_torque_and_refuses_to_arm(wired: Wired) -> None:
     wired.drive()
 
 
-@pytest.mark.parametrize(("function", "code"), [("leg_poll", HANG), ("leg_sample", HANG), ("current_loop", RETURN)])
+@pytest.mark.parametrize("function, code", [("leg_poll", HANG), ("leg_sample", HANG), ("current_loop", RETURN)])
 def test_the_hardware_watchdog_resets_a_board_of_which_a_part_stands_still(wired: Wired, function: str,
                                                                            code: bytes) -> None:
     """The main loop hangs, or the current loop runs no more: no torque, and a new boot, whatever the host sends."""

@@ -33,7 +33,7 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     assert "\nNothing: " in text and "protocol version 2, this program version 1" in text
 
 
-@pytest.mark.parametrize(("name", "changes", "what"), [
+@pytest.mark.parametrize("name, changes, what", [
     ("line cut both ways", {}, ""),
     ("line cut both ways", {"zero_ms": 110.5}, "torque for 110 ms"),
     ("line cut both ways", {"zero_ms": 650.0, "driven_on": True}, "driven to the plan's end"),

@@ -279,7 +279,7 @@ def _hidden(name: str, **more: Any) -> dict[str, Any]:
     return {"effect": name, "joint": 2, "also": [], **more}
 
 
-@pytest.mark.parametrize(("verdict", "causes", "exact", "inside", "wrong"), [
+@pytest.mark.parametrize("verdict, causes, exact, inside, wrong", [
     ("named", ["backlash"], True, True, False), ("partial", ["backlash"], True, True, False),
     ("one_of", ["backlash", "presliding_friction"], False, True, False),
     ("named", ["torque_delay"], False, False, True), ("named", ["backlash", "torque_delay"], False, True, True),

@@ -107,7 +107,7 @@ def test_exports_are_the_commands(log: Path, tmp_path: Path) -> None:
     assert (tmp_path / "healthy.mat").stat().st_size > 1000
 
 
-@pytest.mark.parametrize(("out", "to", "options", "told"), [
+@pytest.mark.parametrize("out, to, options, told", [
     ("run.urdf", None, {}, "urdf is no format of a run"), ("run.abc", None, {}, "no ending that tells a format"),
     ("run.csv", None, {"samples": 3}, "--samples: is for --to mujoco"), ("r.mcap", None, {}, "give the paths of run")])
 def test_an_export_that_cannot_be_is_refused(log: Path, tmp_path: Path, out: str, to: str | None,

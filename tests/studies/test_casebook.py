@@ -59,7 +59,7 @@ def test_a_folder_without_known_records_is_refused(tmp_path: Path, shell: Shell)
     assert cases_in(tmp_path, load_cases()) == [load_cases()[0]]
 
 
-@pytest.mark.parametrize(("verdict", "effects", "agrees"), [
+@pytest.mark.parametrize("verdict, effects, agrees", [
     ("named", ["asymmetric_friction", "torque_delay"], True), ("named", ["torque_delay"], False),
     ("partial", ["asymmetric_friction"], True),
     ("one_of", ["asymmetric_friction", "torque_offset"], False), ("none", [], False)])

@@ -12,7 +12,7 @@ from tests.support.motions import MOTIONS, healthy
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
-@pytest.mark.parametrize(("rate_hz", "encoder"), [(10.0, "fine"), (50.0, "hobby"), (100.0, "2400 counts")])
+@pytest.mark.parametrize("rate_hz, encoder", [(10.0, "fine"), (50.0, "hobby"), (100.0, "2400 counts")])
 def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str) -> None:
     time_s, columns = healthy(kind, rate_hz, encoder, 1, 16.0)
     found = look(time_s, columns)
@@ -25,7 +25,7 @@ def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str
         np.testing.assert_array_equal(found.columns[name], values)
 
 
-@pytest.mark.parametrize(("rate_hz", "friction", "rest_s"), [(20.0, 0.45, 60.0), (30.0, 0.2, 300.0), (8.0, 0.6, 30.0)])
+@pytest.mark.parametrize("rate_hz, friction, rest_s", [(20.0, 0.45, 60.0), (30.0, 0.2, 300.0), (8.0, 0.6, 30.0)])
 def test_a_swing_that_rests_for_long_is_one_series(rate_hz: float, friction: float, rest_s: float) -> None:
     """No scale of it is a median: at rest that is zero."""
     time = np.arange(0.0, 14.0, 1.0 / rate_hz)
@@ -36,7 +36,7 @@ def test_a_swing_that_rests_for_long_is_one_series(rate_hz: float, friction: flo
     assert not found.faults and np.array_equal(found.columns["q1_rad"], angle)
 
 
-@pytest.mark.parametrize(("small", "speed"), [(1.0, 12.0), (0.05, 30.0), (2.5, 4.0)])
+@pytest.mark.parametrize("small, speed", [(1.0, 12.0), (0.05, 30.0), (2.5, 4.0)])
 def test_a_joint_that_later_turns_on_and_on_did_not_stand_still(small: float, speed: float) -> None:
     time = np.arange(3000) / 200.0
     angle = small * np.sin(2.0 * np.pi * 0.8 * time) + np.where(time > 5.0, speed * (time - 5.0) ** 2 / 2.0, 0.0)
@@ -66,7 +66,7 @@ def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float
     return angle, wrong, look(time, {"q1_rad": np.where(wrong, value, angle), "tau1_nm": torque})
 
 
-@pytest.mark.parametrize(("value", "rows", "rate_hz", "push"), [
+@pytest.mark.parametrize("value, rows, rate_hz, push", [
     (0.0, [(300, 304), (900, 909), (1700, 1722)], 250.0, 2.0),
     (-1.0, [(120, 125), (430, 438), (1010, 1040)], 100.0, 9.0),
     (3.2768, [(77, 84), (500, 506), (660, 669)], 60.0, 0.0)])
@@ -105,7 +105,7 @@ def test_as_read_takes_what_is_refused_otherwise() -> None:
     np.testing.assert_array_equal(found.columns["q1_rad"], mixed)
 
 
-@pytest.mark.parametrize(("rate_hz", "seconds"), [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])
+@pytest.mark.parametrize("rate_hz, seconds", [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])
 def test_a_rate_that_was_made_from_an_angle_is_zero_at_rest(rate_hz: float, seconds: float) -> None:
     """As in a public record: velocities that a log computed, with a rest before a release."""
     time = np.arange(round(20.0 * rate_hz)) / rate_hz

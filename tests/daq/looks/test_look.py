@@ -73,7 +73,7 @@ def test_a_command_is_no_reading() -> None:
     assert not seen("tau2_cmd_nm", np.clip(torque(), -1.0, 1.0)).faults
 
 
-@pytest.mark.parametrize(("low", "modulus"), [(-np.pi, 2 * np.pi), (0.0, 2 * np.pi), (-np.pi / 2, np.pi),
+@pytest.mark.parametrize("low, modulus", [(-np.pi, 2 * np.pi), (0.0, 2 * np.pi), (-np.pi / 2, np.pi),
                                              (0.2, 2.0 * np.pi / 3.0)])
 def test_a_wrapped_angle_is_unwrapped(low: float, modulus: float) -> None:
     angle = motion(size=4.0) + low
@@ -212,7 +212,7 @@ def test_a_flat_top_is_a_gap_on_every_grid() -> None:
     assert np.nanmax(np.abs(fine["tau1_nm"])) < 1.05
 
 
-@pytest.mark.parametrize(("modulus", "period"), [(2.0**32 * 1e-6, 0.004), (65.536, 0.01), (86400.0, 1.0)])
+@pytest.mark.parametrize("modulus, period", [(2.0**32 * 1e-6, 0.004), (65.536, 0.01), (86400.0, 1.0)])
 def test_a_counter_that_wraps_goes_on(modulus: float, period: float) -> None:
     time = modulus - 30.5 * period + period * np.arange(100)
     found = unwrapped_counter(np.asarray(time % modulus, np.float64))

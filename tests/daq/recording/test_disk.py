@@ -42,7 +42,7 @@ def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, m
     assert mocks[0].firmware.drive.state != State.ARMED
 
 
-@pytest.mark.parametrize(("act", "said"), [
+@pytest.mark.parametrize("act, said", [
     (lambda path: path.unlink(), "is not in its place any more"),
     (lambda path: os.truncate(path, 100), "was cut short to 100 of"),
     (lambda path: (path.with_suffix(".new").write_text("x"), os.replace(path.with_suffix(".new"), path)),

@@ -72,7 +72,7 @@ def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
     assert set(np.round(commanded, 6)) == {0.0, 0.1, 0.2}
 
 
-@pytest.mark.parametrize(("plant", "limits", "named", "firmware"), [
+@pytest.mark.parametrize("plant, limits, named, firmware", [
     (Turning(2.0, 3.0), "q2_rad = 0.5\n", "q2_rad", {}),
     (Turning(2.0, 8.0), "speed_radps = 5.0\n", "speed_radps", {}),
     (StillPlant(StillState(q1=1.0)), "q1_rad = 0.9\n", "q1_rad", {}),
@@ -106,7 +106,7 @@ def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
     assert np.abs(np.diff(commanded)).max() < 0.41
 
 
-@pytest.mark.parametrize(("torque_nm", "at_once"), [(0.4, True), (-0.4, False)])
+@pytest.mark.parametrize("torque_nm, at_once", [(0.4, True), (-0.4, False)])
 def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path, torque_nm: float, at_once: bool
                                                                   ) -> None:
     b = RigBench(tmp_path / "r.mcap", Turning(2.0, 3.0))
@@ -210,7 +210,7 @@ def test_threads_record_the_same_on_the_real_clock(tmp_path: Path) -> None:
 
 
 @REAL_CLOCK
-@pytest.mark.parametrize(("number", "said"), [
+@pytest.mark.parametrize("number, said", [
     (signal.SIGINT, "stopped by Ctrl-C"), (signal.SIGTERM, "stopped by SIGTERM"),
     (signal.SIGHUP, "stopped by SIGHUP")])
 def test_signals_end_in_a_stop(tmp_path: Path, number: int, said: str) -> None:

@@ -90,7 +90,7 @@ class Recording:
         return self.firmware.record_until(lambda change: change.state != State.ARMED)[-1]
 
 
-@pytest.mark.parametrize(("number", "said"), [
+@pytest.mark.parametrize("number, said", [
     (signal.SIGINT, "stopped by Ctrl-C"), (signal.SIGTERM, "stopped by SIGTERM"), (signal.SIGHUP, "by SIGHUP")])
 def test_signals_ramp_down_and_stop(firmware: Served, tmp_path: Path, number: int, said: str) -> None:
     recording = Recording(firmware, tmp_path, 1000)
@@ -136,7 +136,7 @@ def test_a_process_that_hangs_is_stopped_by_the_watchdog(firmware: Served, tmp_p
     assert "watchdog" in words or "disarmed" in words or "limit" in words
 
 
-@pytest.mark.parametrize(("module", "cls", "method"), [
+@pytest.mark.parametrize("module, cls, method", [
     ("daq.recording.intake", "ControllerIntake", "poll"), ("daq.runs.mcap_run", "RunWriter", "add"),
     ("daq.recording.supervisor", "Supervisor", "check"), ("drivers.leg_controller", "LegController", "ping")],
     ids=["reader thread", "writer thread", "main thread", "clock probes"])

@@ -57,7 +57,7 @@ def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
     np.testing.assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
 
 
-@pytest.mark.parametrize(("line", "column", "cell", "words"), [
+@pytest.mark.parametrize("line, column, cell, words", [
     (31, "tau2_nm", "off", "'off' is not a number"), (31, "gyro_radps", "nan", "NaN"), (60, "q2_rad", "", "empty"),
     (2, "accel_y_mps2", "-inf", "infinite"), (61, "time_s", "1e999", "infinite"), (5, "q2_rad", "1_0", "not a number"),
 ])
@@ -77,7 +77,7 @@ def test_blank_lines_do_not_shift_the_line_named(tmp_path: Path) -> None:
     assert "line 44, column tau2_nm" in refusal(path)
 
 
-@pytest.mark.parametrize(("value", "words"), [("0.100", "repeats"), ("0.050", "backwards")])
+@pytest.mark.parametrize("value, words", [("0.100", "repeats"), ("0.050", "backwards")])
 def test_time_must_increase(tmp_path: Path, value: str, words: str) -> None:
     cells = rows()
     cells[11][0] = value
@@ -140,7 +140,7 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "b.csv, line 2: is not UTF-8" in refusal(tmp_path / "b.csv")
 
 
-@pytest.mark.parametrize(("rig_", "names", "column"), [
+@pytest.mark.parametrize("rig_, names, column", [
     (LEG, NAMES[1:], "time_s"), (LEG, ["time_s", "tau2_nm", "q1_rad"], "q2_rad"),
     (LEG, ["time_s", "q2_rad", "q1_rad"], "tau2_nm"), (LEG, ["time_s", "q2_rad", "tau2_nm"], "q1_rad"),
     (LEG, NAMES[:5], "accel_y_mps2"), (rig("leg2", "[1, 2]"), NAMES, "tau1_nm"),
@@ -156,7 +156,7 @@ def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: list[str], 
     assert f"line 1: column {column} is missing" in refusal(put(tmp_path / "r.csv", rows(60, names), names), rig_)
 
 
-@pytest.mark.parametrize(("rig_", "names"), [
+@pytest.mark.parametrize("rig_, names", [
     (LEG, ["time_s", "q2_rad", "tau2_nm", "q1_rad"]), (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_n"]),
     (rig("joint1", "[]"), ["time_s", "q1_rad"]), (rig("leg2", "[]"), ["time_s", "q2_rad", "q1_rad"]),
     (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "duty", "volts"]),
@@ -219,7 +219,7 @@ def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> 
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="real data sets are not on this machine")
-@pytest.mark.parametrize(("folder", "file", "rig_file", "samples"), [
+@pytest.mark.parametrize("folder, file, rig_file, samples", [
     ("dfki_c0", "03_passive.csv.gz", "rig_passive.toml", 5000), ("dfki_a0", "12.csv.gz", "rig.toml", 5000),
     ("multiarm", "free_swing.csv.gz", "rig.toml", 53340), ("emps", "estimation.csv.gz", "rig.toml", 24841),
 ])

@@ -95,7 +95,7 @@ def test_channels_of_different_rates_carry_the_same_filter() -> None:
     assert run.time_s[0] >= 0.0013 + 0.005
 
 
-@pytest.mark.parametrize(("missing", "stays"), [(1, False), (2, True), (30, True)])
+@pytest.mark.parametrize("missing, stays", [(1, False), (2, True), (30, True)])
 def test_holes_longer_than_two_and_a_half_periods_stay_holes(missing: int, stays: bool) -> None:
     t = np.arange(400) * 0.01
     kept = np.delete(np.arange(400), np.arange(200, 200 + missing))

@@ -30,7 +30,7 @@ def tick(t: NDArray[np.float64], ppm: float, drift_ppm: float, seconds: float) -
     return np.floor((t * (1 + ppm * 1e-6) + 0.5e-6 * drift_ppm * t**2 / seconds) * 1e6).astype(np.int64)
 
 
-@pytest.mark.parametrize(("name", "delay_s", "jitter_s", "allowed_s"), [
+@pytest.mark.parametrize("name, delay_s, jitter_s, allowed_s", [
     ("USB serial", 0.5e-3, 0.3e-3, 150e-6), ("USB-ACM", 0.1e-3, 0.06e-3, 40e-6), ("CAN", 60e-6, 30e-6, 25e-6)])
 @pytest.mark.parametrize("seed", range(3))
 def test_ticks_of_five_minutes(name: str, delay_s: float, jitter_s: float, allowed_s: float, seed: int) -> None:
@@ -82,7 +82,7 @@ def drains(rng: np.random.Generator, seconds: float, rate_hz: float, warm_up: fl
     return out, true[kept]
 
 
-@pytest.mark.parametrize(("seconds", "rate", "warm_up", "allowed_s"), [
+@pytest.mark.parametrize("seconds, rate, warm_up, allowed_s", [
     (10.0, 241.0, 0.0, 150e-6), (60.0, 233.5, 0.0, 100e-6), (300.0, 241.0, 1e-3, 150e-6), (20.0, 961.0, 0.0, 100e-6)])
 def test_samples_are_timed_by_the_drains(seconds: float, rate: float, warm_up: float, allowed_s: float) -> None:
     samples, true = drains(np.random.default_rng(4), seconds, rate, warm_up)

@@ -28,7 +28,7 @@ def channels(seed: int, gain: float, offset: float, delay_s: float, noise: float
                                         "tau2_cmd_nm": np.interp(grid, t, command)})
 
 
-@pytest.mark.parametrize(("gain", "offset", "delay_s"), [(1.0, 0.0, 0.0), (1.07, 0.03, 0.002), (0.9, -0.1, -0.006),
+@pytest.mark.parametrize("gain, offset, delay_s", [(1.0, 0.0, 0.0), (1.07, 0.03, 0.002), (0.9, -0.1, -0.006),
                                                          (1.3, 0.0, 0.02)])
 def test_gain_offset_and_delay_come_back(gain: float, offset: float, delay_s: float) -> None:
     found = compare_torque_channels(channels(3, gain, offset, delay_s))

@@ -55,7 +55,7 @@ def test_the_weight_s_own_error_widens_it() -> None:
     assert rough.half == pytest.approx(np.hypot(exact.half, 0.02 * exact.value), rel=1e-6)
 
 
-@pytest.mark.parametrize(("made", "line"), [
+@pytest.mark.parametrize("made, line", [
     (holds(1, count=5), "5 usable holds with the weight, at least 6"),
     (holds(1, reach=0.1), "too much alike in angle; use more torque"),
     (holds(1, sides=(1,)), "approached from one side"),

@@ -47,7 +47,7 @@ def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_
     assert 0.0 < offset.size < 0.03
 
 
-@pytest.mark.parametrize(("name", "size", "kind"), [
+@pytest.mark.parametrize("name, size, kind", [
     ("encoder_offset", 0.03, "sensors"), ("gyro_scale", 0.03, "sensors"), ("torque_delay", 0.01, "timing"),
     ("sensor_time_skew", 0.005, "timing")])
 def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: str, tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
             compare_sessions(b, a, setup.mechanism, setup.options))
 
 
-@pytest.mark.parametrize(("name", "size", "kind"), [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
+@pytest.mark.parametrize("name, size, kind", [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
 def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size: float, kind: str, tmp_path: Path
                                                                 ) -> None:
     found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None,
@@ -115,7 +115,7 @@ def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
     assert other.size[0].value == pytest.approx(1.0 / cause.size[0].value)
 
 
-@pytest.mark.parametrize(("link", "mass", "distance"), [
+@pytest.mark.parametrize("link, mass, distance", [
     (1, 0.03, 0.25), (2, 0.15, 0.1), *(pytest.param(*rest, marks=pytest.mark.slow)
                                        for rest in ((1, 0.2, 0.1), (2, 0.02, 0.2)))])
 def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float, distance: float, tmp_path: Path

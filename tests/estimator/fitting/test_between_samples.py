@@ -112,7 +112,7 @@ def test_slopes_are_those_of_scipy_s_spline() -> None:
     np.testing.assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
 
 
-@pytest.mark.parametrize(("timing", "hold"), [
+@pytest.mark.parametrize("timing, hold", [
     (Timing(200), "zero"), (Timing(1000, 5), "zero/5"), (Timing(400, 2), "zero/2"),
     (Timing(200, between="average"), "past"),
     (Timing(200, delay_s=0.007, loop="pd"), "zero"), (Timing(100, delay_s=0.012), "zero"),
@@ -125,7 +125,7 @@ def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     assert fit_nominal(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
 
 
-@pytest.mark.parametrize(("between", "hold"), [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
+@pytest.mark.parametrize("between, hold", [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
 def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str, hold: str) -> None:
     """Half a sample of the file is a quarter of one of the grid: a mean over the past was 2.5 ms of a delay."""
     rng = np.random.default_rng(11)

@@ -119,7 +119,7 @@ def likelihood(wandering: Made) -> MarginalLikelihood:
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize(("level", "constant", "white"), [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
+@pytest.mark.parametrize("level, constant, white", [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
                                                           (0.5 * OFF * 0.02, 0.1, 0.02)])
 def test_slopes_are_differences(likelihood: MarginalLikelihood, joint: int, level: float, constant: float,
                                 white: float) -> None:

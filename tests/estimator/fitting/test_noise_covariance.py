@@ -178,7 +178,7 @@ def test_levels_at_a_given_correlation_are_the_likeliest() -> None:
     assert excess_variance(declared, declared) == pytest.approx(np.ones(3))
 
 
-@pytest.mark.parametrize(("method", "latent"), [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
+@pytest.mark.parametrize("method, latent", [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
                                                 ("mle", "free")])
 def test_a_method_that_would_not_use_a_correlation_refuses_it(method: Method, latent: str) -> None:
     q, tau, _ = arm(np.random.default_rng(1), 300)
@@ -189,7 +189,7 @@ def test_a_method_that_would_not_use_a_correlation_refuses_it(method: Method, la
         fit([run], leg2(actuated=(0, 1)), options, method)
 
 
-@pytest.mark.parametrize(("rows", "axes"), [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
+@pytest.mark.parametrize("rows, axes", [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
                                             (((0.9, 0.0), (0.0, 1.0)), 0.0), ((), 1.0)])
 def test_options_refuse_what_is_no_correlation(rows: tuple[tuple[float, ...], ...], axes: float) -> None:
     with pytest.raises(ValueError, match="_correlation"):

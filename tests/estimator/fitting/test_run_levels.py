@@ -54,7 +54,7 @@ def error(plant: Plant, found: list[FitResult]) -> FloatArray:
     return np.array([f.beta / plant[0].beta() - 1.0 for f in found])
 
 
-@pytest.mark.parametrize(("sensors", "channels"), [
+@pytest.mark.parametrize("sensors, channels", [
     ("imu", {"gyro_radps": 0.01, "accel_y_mps2": 0.05, "torque2_nm": 0.02, "encoder2_rad": 3e-4}),
     ("encoder", {"torque2_nm": 0.02, "encoder1_rad": 3e-4, "encoder2_rad": 3e-4})])
 def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: str, channels: dict[str, float]) -> None:

@@ -130,7 +130,7 @@ def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(l
     np.testing.assert_allclose(found.beta[2:], truth.beta()[2:], rtol=0.15)
 
 
-@pytest.mark.parametrize(("low", "method"), [(0.005, "mle"), (0.02, "shooting")])
+@pytest.mark.parametrize("low, method", [(0.005, "mle"), (0.02, "shooting")])
 def test_shooting_is_reported_only_where_it_predicts_better_by_a_margin(low: float, method: str,
                                                                         monkeypatch: pytest.MonkeyPatch) -> None:
     run = record_geared(GearedPendulum(), np.random.default_rng(1), seconds=9.0)

@@ -76,7 +76,7 @@ def rows_with_numbers(out: str) -> list[str]:
     return [row[0] for row in rows if row[0].isalnum() and row[1] != "not"]  # a sentence may begin with a name
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS)
+@pytest.mark.parametrize("method, sensors", WAYS)
 def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_path: Path,
                                              shell: Shell) -> None:
     status, document = run_fit(tmp_path, at_rest(), LEG_RIG, "--method", method, "--sensors", sensors)
@@ -89,7 +89,7 @@ def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_p
     assert document is None or all(p["value"] is None for p in document["parameters"])
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS)
+@pytest.mark.parametrize("method, sensors", WAYS)
 def test_a_knee_that_never_moves(method: Method, sensors: str, tmp_path: Path,
                                  shell: Shell) -> None:
     """Its friction is not seen; its inertia is not told from the upper link's; the passive row has no scale."""
@@ -141,7 +141,7 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, shell
     assert "no model was written: this data does not determine" in shell.err
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
+@pytest.mark.parametrize("method, sensors", WAYS[2:])
 def test_a_good_record_is_not_accused(method: Method, sensors: str) -> None:
     run = record(LEG, np.random.default_rng(5), seconds=4.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()

@@ -54,7 +54,7 @@ def test_no_correlation_declared_as_such_changes_nothing() -> None:
     np.testing.assert_allclose(one.chain.rows, other.chain.rows, rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "joint", "h"), [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
+@pytest.mark.parametrize("name, joint, h", [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
 def test_derivatives_by_torque_and_sizes_are_those_of_the_objective(name: str, joint: int | None, h: float) -> None:
     problem, x, beta, noise = posed(NAMED[name](joint))
     point, n = problem.linearise(x, beta, noise), 2

@@ -15,7 +15,7 @@ def motion(rng: np.random.Generator, joints: int) -> tuple[np.ndarray, np.ndarra
     return rng.uniform(-3, 3, (40, joints)), rng.normal(0, 3, (40, joints)), rng.normal(0, 20, (40, joints))
 
 
-@pytest.mark.parametrize(("parent", "mechanism"), [
+@pytest.mark.parametrize("parent, mechanism", [
     ((-1, 0), leg2()), ((-1, 0, 0), biped3(gravity_mps2=GRAVITY)), ((-1, 0, 1, 2, 3), chain(5))],
     ids=["leg", "walker", "chain"])
 def test_inverse_dynamics_are_those_of_mujoco(parent: tuple[int, ...], mechanism: Mechanism) -> None:

@@ -23,7 +23,7 @@ def chain(n: int, b: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, n
 WEIGHTS = np.array([1.0, 0.5, -2.0, 0.0])
 
 
-@pytest.mark.parametrize(("n", "b"), [(1, 3), (2, 3), (3, 6), (101, 3), (80, 6), (40, 9)])
+@pytest.mark.parametrize("n, b", [(1, 3), (2, 3), (3, 6), (101, 3), (80, 6), (40, 9)])
 def test_solution_and_inverse_agree_with_the_dense_ones(n: int, b: int) -> None:
     full, diagonal, lower = chain(n, b)
     dense, rhs = np.linalg.inv(full), np.random.default_rng(1).normal(size=(n * b, 4))

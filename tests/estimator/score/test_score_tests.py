@@ -55,7 +55,7 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)
 
 
-@pytest.mark.parametrize(("tests", "sigmas"), [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
+@pytest.mark.parametrize("tests, sigmas", [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
 def test_more_tests_ask_for_more_standard_deviations(tests: int, sigmas: float) -> None:
     """Quantiles of the normal distribution at 1 % and at 0.1 % are 2.58 and 3.29."""
     assert least_sigmas(tests) == pytest.approx(sigmas, abs=0.01)

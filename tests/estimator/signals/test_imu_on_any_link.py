@@ -65,7 +65,7 @@ def test_slopes_are_the_readings_own(name: str) -> None:
                 np.testing.assert_allclose(slope[:, j], numeric, atol=1e-7)
 
 
-@pytest.mark.parametrize(("links", "sensors", "encoders"), [
+@pytest.mark.parametrize("links, sensors, encoders", [
     (2, [Sensor(1, 0.1)], (1,)), (2, [Sensor(0, 0.2), Sensor(1, 0.1)], ()), (3, [Sensor(2, 0.1)], (1, 2)),
     (7, [Sensor(0, 0.1), Sensor(3, 0.1), Sensor(6, 0.1)], (1, 2, 4, 5)), (7, [Sensor(k, 0.1) for k in range(7)], ())])
 def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoders: tuple[int, ...]) -> None:

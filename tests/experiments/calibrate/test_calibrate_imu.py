@@ -116,7 +116,7 @@ def test_a_tolerance_of_one_joint_is_set_next_to_others() -> None:
     assert parse_rig(again).tolerances["encoder_offset@2"] == (0.003,)
 
 
-@pytest.mark.parametrize(("stated", "written"), [
+@pytest.mark.parametrize("stated, written", [
     ("", {"encoder_offset@2": (0.004,), "gyro_scale": (0.002,)}),
     ("[tolerance]\nencoder_offset = 0.1\ngyro_scale = 0.5", {"encoder_offset": (0.1,), "gyro_scale": (0.002,)}),
     ("[tolerance]\nnone = true", {"none": ()})])

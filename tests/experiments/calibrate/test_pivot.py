@@ -59,7 +59,7 @@ def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, shell:
     assert "without an IMU" in said.out and "each reached from the other side" in said.err
 
 
-@pytest.mark.parametrize(("more", "status", "line"), [
+@pytest.mark.parametrize("more, status, line", [
     ({"status": 0}, 2, "holds 0 valid readings of a pivot sensor"), ({"drift": 0.1}, 1, "the pivot moved by 0.")])
 def test_what_is_no_rest_is_refused(tmp_path: Path, shell: Shell, more: dict, status: int, line: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG)

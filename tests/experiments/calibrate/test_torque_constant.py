@@ -57,7 +57,7 @@ def test_holds_that_move_or_come_back_are_left_out() -> None:
     assert left.left_out == 4 and left.current.size == 12
 
 
-@pytest.mark.parametrize(("column", "line"), [("tau2_cmd_nm", "has no column tau2_cmd_nm"),
+@pytest.mark.parametrize("column, line", [("tau2_cmd_nm", "has no column tau2_cmd_nm"),
                                               ("accel_y_mps2", "has no column accel_y")])
 def test_a_run_without_a_column_is_refused(column: str, line: str) -> None:
     run = hold_run(Truth(), np.random.default_rng(1))
@@ -90,7 +90,7 @@ def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: P
     assert with_known_gain({"torque_gain": "no motion"}, parse_rig(RIG)) == {"torque_gain": "no motion"}
 
 
-@pytest.mark.parametrize(("more", "line"), [
+@pytest.mark.parametrize("more, line", [
     (["--weight", "0.5"], "--arm: is None"), (["--weight", "-1", "--arm", "0.2"], "--weight: is -1"),
     (["--weight", "1", "--arm", "0.2"], "holds with the weight and without it are needed"),
     (["--weight", "1", "--arm", "0.2", "--arm-error", "-1"], "--arm-error: is -1")])

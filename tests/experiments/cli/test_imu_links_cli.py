@@ -73,7 +73,7 @@ def test_fit_validate_and_simulate(laid: Laid, use: str, tmp_path: Path, shell: 
     assert columns["accel_y_mps2"][0] == pytest.approx(-9.81, abs=0.4) and abs(columns["gyro_radps"][0]) < 0.05
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize("change, said", [
     (("encoders = []", "encoders = [3]"), "mechanism.encoders names joint 3, leg2 has 2"),
     ((ON_THIGH, ""), "no sensor tells the angles of joints 1 and 2 apart: with 0 encoders and 1 IMU"),
     (("link = 2", "link = 3"), "IMU 1 is on link 3, leg2 has 2"),

@@ -43,7 +43,7 @@ def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, f
     assert "run.mcap (missing)" in shell.fails("verify", folder / name, tmp_path, status=1)
 
 
-@pytest.mark.parametrize(("command", "read"), [
+@pytest.mark.parametrize("command, read", [
     (["runs", ".", "--json"], {"run.mcap"}), (["runs", "run.mcap", "--json"], {"run.mcap"}),
     (["effects", "--json"], set()),
     (["monte-carlo", "biped3", "--runs", "2", "--cases", "1", "--methods", "wls", "--workers", "1", "--json"], set())])

@@ -67,7 +67,7 @@ def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, shell: Shell
     assert "is a walker, which falls under a plan" in said
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize("change, said", [
     ("stance", "column stance never changes from one leg to the other"),
     ("still", "no touchdown stands out of the angles' noise; give a column stance"),
 ])

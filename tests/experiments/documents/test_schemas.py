@@ -25,7 +25,7 @@ def test_the_files_are_current() -> None:
     assert {path.name: path.read_text(encoding="utf-8") for path in FOLDER.iterdir()} == schemas()
 
 
-@pytest.mark.parametrize(("name", "document"), [
+@pytest.mark.parametrize("name, document", [
     ("fit", document_of(synthetic_fit())), ("fit", document_of(OPEN)),
     ("diagnosis", DiagnosisDocument.of(synthetic())), ("diagnosis", DiagnosisDocument.of(Diagnosis("fit_failed", "x"))),
     ("diagnosis", DiagnosisDocument.of(replace(synthetic(), sensors={"q1_rad": SensorGain(inf, inf, inf)})))])

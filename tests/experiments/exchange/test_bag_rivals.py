@@ -35,7 +35,7 @@ def bag(folder: Path, coarse: str, empty_efforts: bool) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("coarse", "empty", "torque"), [
+@pytest.mark.parametrize("coarse, empty, torque", [
     ("raw", False, "/joint_states/knee/effort"), ("joint_states", False, "/knee_motor/torque/data"),
     ("joint_states", True, "/knee_motor/torque/data")])
 def test_the_better_torque_of_a_bag_is_taken(coarse: str, empty: bool, torque: str, tmp_path: Path) -> None:

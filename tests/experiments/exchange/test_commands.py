@@ -25,7 +25,7 @@ def log(path: Path, run: Dataset, names: tuple[str, str] = ("knee_cmd_deg", "kne
                         names[1]: signs[1] * run["q1_rad"] / units[1]})
 
 
-@pytest.mark.parametrize(("names", "units", "signs", "expected"), [
+@pytest.mark.parametrize("names, units, signs, expected", [
     (("knee_cmd_deg", "knee_deg"), (DEGREE, DEGREE), (1, 1), ("deg", "deg", 1)),
     (("knee_cmd_deg", "knee_rad"), (DEGREE, 1.0), (1, 1), ("deg", "rad", 1)),
     (("goal [deg]", "pos"), (DEGREE, 1.0), (1, 1), ("deg", "rad", 1)),
@@ -82,7 +82,7 @@ def test_a_leg_s_knee_follows_a_command(sign: int, tmp_path: Path) -> None:
     assert (rig.mechanism.model, rig.mechanism.actuated) == ("leg2", (2,)) and rig.servo is not None
 
 
-@pytest.mark.parametrize(("unit", "sign"), [("deg", 1), ("", -1)])
+@pytest.mark.parametrize("unit, sign", [("deg", 1), ("", -1)])
 def test_a_commanded_rate_and_a_feedforward_come_along(unit: str, sign: int, tmp_path: Path) -> None:
     run = servo_run()
     scale = DEGREE if unit else 1.0

@@ -30,7 +30,7 @@ NAMED = ["hip_pos", "knee_pos", "ankle_pos", "hip_effort", "knee_effort", "ankle
 NUMBERED = ["q1", "q2", "q3", "tau1", "tau2", "tau3"]
 
 
-@pytest.mark.parametrize(("names", "unit", "written", "signs", "works"), [
+@pytest.mark.parametrize("names, unit, written, signs, works", [
     (NAMED, 1.0, "", (1, 1, 1), (1, 1, 1)),
     (NUMBERED, np.pi / 180, "deg", (1, -1, 1), (1, 1, -1)),
     (NUMBERED, 2 * np.pi, "turn", (1, -1, -1), (-1, -1, -1)),
@@ -94,7 +94,7 @@ def test_torques_of_another_machine_are_not_explained(tmp_path: Path, shell: She
     assert all(found[f"q{k}_rad"].name == f"q{k}" and not found[f"q{k}_rad"].unit for k in (1, 2, 3))
 
 
-@pytest.mark.parametrize(("angles", "torques_", "joints"), [
+@pytest.mark.parametrize("angles, torques_, joints", [
     (["shoulder_meas_pos", "elbow_meas_pos"], ["elbow_meas_effort", "shoulder_meas_effort"], [1, 0]),
     (["q1", "q2", "q3"], ["tau2", "tau3"], [1, 2]),
     (["position[0]", "position[1]"], ["effort[0]", "effort[1]"], [0, 1]),

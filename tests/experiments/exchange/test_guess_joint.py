@@ -17,7 +17,7 @@ RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 
 
 @pytest.mark.parametrize("names", [("pos", "effort"), ("joint_angle", "torque"), ("hip", "tau")])
-@pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg"), (2 * np.pi, "turn")])
+@pytest.mark.parametrize("unit, written", [(1.0, ""), (np.pi / 180, "deg"), (2 * np.pi, "turn")])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_gravity_shows_the_unit_and_inertia_the_sign(names: tuple[str, str], unit: float, written: str, sign: int,
                                                      tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_torque_of_another_machine_is_not_explained(tmp_path: Path, shell: She
     assert "explains the torque 'effort'" in shell.err
 
 
-@pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg")])
+@pytest.mark.parametrize("unit, written", [(1.0, ""), (np.pi / 180, "deg")])
 def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, tmp_path: Path,
                                                         shell: Shell) -> None:
     """No torque in the file: gravity still shows the unit, and one known number gives the scale."""

@@ -36,7 +36,7 @@ def run() -> Dataset:
     return record(LEG, np.random.default_rng(7), seconds=15.0, amplitude=1.0, name="x")
 
 
-@pytest.mark.parametrize(("file", "make"), [
+@pytest.mark.parametrize("file, make", [
     ("x.csv", spreadsheet), ("x.csv", plotjuggler), ("x.mat", matlab),
     ("bag", partial(ros2_bag, plugin=StoragePlugin.MCAP)), ("bag", partial(ros2_bag, plugin=StoragePlugin.SQLITE3))],
     ids=["spreadsheet", "plotjuggler", "matlab", "ros2-mcap", "ros2-sqlite"])
@@ -133,7 +133,7 @@ def test_gaps_and_a_second_angle_do_not_mislead(run: Dataset, tmp_path: Path,
     assert status == 0 and found["q2_rad"] == Column(name="load_pos"), said
 
 
-@pytest.mark.parametrize(("change", "words"), [
+@pytest.mark.parametrize("change, words", [
     ({"knee": None}, "'knee' holds 'ERR' in line 61"), ({"torque": np.zeros(1)}, "'torque' never changes"),
     ({"gz": np.full(1, np.nan)}, "'gz' is blank"), ({"t": np.array([0.0, -1.0])}, "'t' runs backwards"),
     ({"t": np.zeros(1)}, "'t' stands still")])
@@ -181,7 +181,7 @@ def test_a_map_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert load_map(tmp_path / "m.toml") == columns
 
 
-@pytest.mark.parametrize(("text", "words"), [
+@pytest.mark.parametrize("text, words", [
     ("", "has no [columns]"), ("[columns.knee]\nname = 'a'", "is no column of a run"),
     ("[columns.q2_rad]\nname = 'a'\nunit = 'degs'", "did you mean 'deg'"),
     ("[columns.q2_rad]\nunit = 'deg'", "name"), ("[columns.q2_rad]\nname = 'a'\nsign = 2", "sign"),

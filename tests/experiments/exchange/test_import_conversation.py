@@ -41,7 +41,7 @@ def test_the_command_that_it_names_works_next_to_the_logs(files: list[str], tmp_
     assert read_csv(tmp_path / "runs" / "log0.csv").columns["q1_rad"].size == 3000
 
 
-@pytest.mark.parametrize(("answer", "imported"), [("y", True), ("n", False), ("", False)])
+@pytest.mark.parametrize("answer, imported", [("y", True), ("n", False), ("", False)])
 def test_it_asks_a_person(answer: str, imported: bool, files: list[str], tmp_path: Path,
                           monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)

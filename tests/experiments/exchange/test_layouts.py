@@ -55,7 +55,7 @@ def test_lerobot_s_episodes_are_runs_with_names_of_joints(v2: bool, tmp_path: Pa
         assert run["q1_cmd_rad"] == pytest.approx(wanted["q1_cmd_rad"][: len(run)], abs=1e-5)
 
 
-@pytest.mark.parametrize(("scale", "said"), [(1.0, "do not say whether .pos is in degrees or in per cent"),
+@pytest.mark.parametrize("scale, said", [(1.0, "do not say whether .pos is in degrees or in per cent"),
                                              (2.5, "so they are in degrees")])
 def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Path,
                                           shell: Shell) -> None:

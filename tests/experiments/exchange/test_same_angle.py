@@ -88,7 +88,7 @@ def mat_objects(path: Path, names: list[str], kind: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("names", "kind", "told"), [
+@pytest.mark.parametrize("names, kind, told", [
     (["alpha", "beta_dot"], "timeseries", "alpha, beta_dot are MATLAB timeseries objects"),
     (["run1"], "timetable", "run1 is a MATLAB timetable object"),
     (["q", "u", "tau"], "table", "q, u, tau are MATLAB table objects")])

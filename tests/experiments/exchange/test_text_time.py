@@ -11,7 +11,7 @@ from tests.support.imported_files import guess, pendulum, table
 from tests.support.shell import Shell, typed
 
 
-@pytest.mark.parametrize(("cells", "seconds"), [
+@pytest.mark.parametrize("cells, seconds", [
     (["2026-11-27T09:16:00.005Z", "2026-11-27T09:16:00.255Z"], [0.0, 0.25]),
     (["2026-11-27 09:16:00+01:00", "2026-11-27 09:16:01+00:00"], [0.0, 3601.0]),
     (["27.11.2026 23:59:59,500", "28.11.2026 00:00:00,250"], [0.0, 0.75]),

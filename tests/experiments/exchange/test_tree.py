@@ -25,7 +25,7 @@ COLUMNS = {"t": T, "a": np.sin(3.0 * T), "b": np.sin(3.0 * T) + 0.5 * np.cos(2.0
 RELATIVE = COLUMNS["b"] - COLUMNS["a"]
 
 
-@pytest.mark.parametrize(("file", "make", "names"), [
+@pytest.mark.parametrize("file, make, names", [
     ("x.mat", structs, ("log.time", "log.state.q[1]", "log.state.q[2]")), ("x.npz", npz, ("t", "a", "b")),
     ("x.json", records, ("entries.t", "entries.a", "entries.b"))])
 def test_each_kind_by_its_names_with_relative_angles(file: str, make: Maker, names: tuple[str, str, str],
@@ -45,7 +45,7 @@ def test_groups_of_hdf5(tmp_path: Path) -> None:
     assert read_imported(tmp_path / "x.h5").names == ["log/q[1]", "log/q[2]", "log/t"]
 
 
-@pytest.mark.parametrize(("name", "program"), [("x.pkl", "pickle"), ("x.PICKLE", "pickle"), ("x.pt", "PyTorch"),
+@pytest.mark.parametrize("name, program", [("x.pkl", "pickle"), ("x.PICKLE", "pickle"), ("x.pt", "PyTorch"),
                                                ("x.pth", "PyTorch")])
 @pytest.mark.parametrize("command", ["import", "fit"])
 def test_a_pickle_is_refused_with_what_to_save(command: str, name: str, program: str, tmp_path: Path,

@@ -142,7 +142,7 @@ def test_one_joint(tmp_path: Path) -> None:
     assert 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
 
 
-@pytest.mark.parametrize(("offset", "viscous", "said"), [
+@pytest.mark.parametrize("offset, viscous, said", [
     (-0.02, 0.03, ""), (0.0, 0.03, "torque_offset_1 is zero"), (-0.02, -0.03, "beta3 is not positive")])
 def test_only_a_torque_offset_may_be_negative(offset: float, viscous: float, said: str, tmp_path: Path,
                                               shell: Shell) -> None:

@@ -177,7 +177,7 @@ def prediction(error: float, short: float) -> PredictedRun:
     return predicted_run("r", 100.0, measured, {SHORT_S: short * off, np.inf: error * off})
 
 
-@pytest.mark.parametrize(("whole", "short", "level", "words"), [
+@pytest.mark.parametrize("whole, short, level, words", [
     (0.05, 0.01, "good", "TRUST for simulation over 10 s: fit 95"),
     (0.2, 0.05, "caution", "TRUST for predictions of 1 s"),
     (0.5, 0.2, "caution", "ROUGH"),
@@ -231,7 +231,7 @@ def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> 
     return HorizonError(1.0, "q1_rad", a, b, None if low is None else (low, high))
 
 
-@pytest.mark.parametrize(("errors", "words"), [
+@pytest.mark.parametrize("errors, words", [
     ([horizon(2.0, 1.0, 0.4, 0.6)] * 3 + [horizon(1.0, 1.0, 0.9, 1.1)], "B IS BETTER (b.json): at 3 of 4"),
     ([horizon(1.0, 2.0, 1.5, 2.5)] * 2, "A IS BETTER (a.json): at 2 of 2"),
     ([horizon(1.0, np.inf)] * 2, "A IS BETTER (a.json): at 2 of 2"),

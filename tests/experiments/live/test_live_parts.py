@@ -281,7 +281,7 @@ def test_a_run_with_gaps_is_not_simply_finished_and_a_busy_computer_is_no_lost_d
     assert shown["phase"] == "Computer too busy" and "LOST" not in shown["text"].values()
 
 
-@pytest.mark.parametrize(("waited_ms", "turn_ms", "busy"), [(200, 210, True), (1, 210, False), (30, 31, False)])
+@pytest.mark.parametrize("waited_ms, turn_ms, busy", [(200, 210, True), (1, 210, False), (30, 31, False)])
 def test_only_waiting_for_a_processor_is_overload(tmp_path: Path, waited_ms: int, turn_ms: int, busy: bool) -> None:
     """A turn that a device blocks takes as long, and nobody waited for a processor."""
     source = tmp_path / "schedstat"

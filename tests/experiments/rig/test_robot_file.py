@@ -30,7 +30,7 @@ def test_the_bodies_of_an_exported_leg_make_its_parameters(kind: str, tmp_path: 
     assert all(std == pytest.approx(0.05 * abs(value), rel=0.05) for value, std in rig.prior.values())
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize("text, told", [
     ("<robot", "is not XML"), ("<sdf/>", "begins with <sdf>"), ("<robot/>", "has no hinge"),
     ("<!DOCTYPE x><robot/>", "declares entities"),
     ('<mujoco><worldbody><body name="a"><joint/></body></worldbody></mujoco>', "MuJoCo cannot read it"),

@@ -43,8 +43,8 @@ def corrected(data: Dataset, rig: str) -> Dataset:
     return found
 
 
-@pytest.mark.parametrize(("rig", "columns"), [(IMU, ("q2_rad",)), (ENCODERS, ("q2_rad",)), (ENCODERS, ("tau2_nm",))])
-@pytest.mark.parametrize(("row", "count"), [(900, 4), (1300, -3)])
+@pytest.mark.parametrize("rig, columns", [(IMU, ("q2_rad",)), (ENCODERS, ("q2_rad",)), (ENCODERS, ("tau2_nm",))])
+@pytest.mark.parametrize("row, count", [(900, 4), (1300, -3)])
 def test_lost_samples_are_named_and_moved_back(rig: str, columns: tuple[str, ...], row: int, count: int) -> None:
     right, wrong = leg(3, rig, columns, row, count)
     found = corrected(wrong, rig)
@@ -88,7 +88,7 @@ def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, shell: Shell)
     assert beta1 == pytest.approx(0.05, rel=0.1)
 
 
-@pytest.mark.parametrize(("columns", "count"), [(("q2_rad",), 17), (("q2_rad",), 29), (("tau2_nm",), -14)])
+@pytest.mark.parametrize("columns, count", [(("q2_rad",), 17), (("q2_rad",), 29), (("tau2_nm",), -14)])
 def test_many_lost_samples_are_named_and_not_the_motion(columns: tuple[str, ...], count: int) -> None:
     right, wrong = leg(4, ENCODERS, columns, 1000, count)
     faults = corrected(wrong, ENCODERS).readings
@@ -96,7 +96,7 @@ def test_many_lost_samples_are_named_and_not_the_motion(columns: tuple[str, ...]
     assert abs(faults[0].rows[0][0] - 1000) < 50 and corrected(right, ENCODERS).readings == ()
 
 
-@pytest.mark.parametrize(("times", "seed"), [(2, 3), (4, 4), (6, 5)])
+@pytest.mark.parametrize("times, seed", [(2, 3), (4, 4), (6, 5)])
 def test_an_imu_that_repeats_its_readings_is_named(times: int, seed: int) -> None:
     """Noise levels that the rig file declares made it a lack of excitation."""
     right, _ = leg(seed, IMU)

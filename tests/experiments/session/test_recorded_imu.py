@@ -75,7 +75,7 @@ def test_the_rig_file_goes_before_the_recorder(runs: list[Dataset]) -> None:
         parse_rig(TEXT.replace("[imu]", "[imu]\ncutoff_hz = [50.0, 50.0, 50.0]"))
 
 
-@pytest.mark.parametrize(("cutoff_hz", "fault"), [
+@pytest.mark.parametrize("cutoff_hz, fault", [
     ("[76.0, -1.0]", "settings of its IMU that cannot be"), ("[76.0]", "cutoff_hz has 1 numbers")])
 def test_a_run_with_settings_that_no_chip_has_is_refused(rig: Rig, recorded: list[RawRun], cutoff_hz: str, fault: str
                                                          ) -> None:

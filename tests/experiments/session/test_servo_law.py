@@ -89,7 +89,7 @@ def loop_of(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {one["key"]: one for one in told["loop"]}
 
 
-@pytest.mark.parametrize(("servo", "fix"), [(f"gain = {GAIN}\n", False), ("", True)])
+@pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\n", False), ("", True)])
 def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp_path: Path, leg: Leg, servo: str,
                                                                             fix: bool) -> None:
     rng = np.random.default_rng(55)
@@ -191,7 +191,7 @@ def test_a_diagnosis_under_the_command_names_a_late_command(leg: Leg) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("faults", "scale", "where"), [
+@pytest.mark.parametrize("faults, scale, where", [
     (ServoFaults(log_scale=0.04), 0.04, "the loop hears the true angle"),
     (ServoFaults(encoder_scale=-0.2), -0.2, "the loop hears it")], ids=["in the log", "at the encoder"])
 def test_a_wrong_scale_is_named_with_the_place_where_it_is_wrong(leg: Leg, faults: ServoFaults, scale: float,

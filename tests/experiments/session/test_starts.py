@@ -35,7 +35,7 @@ def braked(hold_s: float) -> Dataset:
                                            "tau1_nm": torque})
 
 
-@pytest.mark.parametrize(("run", "rig", "fixed", "hold_s"), [
+@pytest.mark.parametrize("run, rig, fixed, hold_s", [
     (swing(2.0, 1.1, 100.0, (0.3, 0.2)), JOINT.format([]), {"beta2": 0.08}, 2.0),
     (swing(4.3, 0.5, 50.0, (0.2, 0.1)), JOINT.format([]), {"beta2": 0.08}, 4.3),
     (braked(1.6), JOINT.format([1]), {}, 1.6)], ids=["a hand", "a longer hand", "a brake"])
@@ -52,7 +52,7 @@ def test_a_start_that_the_mechanism_cannot_explain_is_left_out(
     assert not as_read.gap().any() and [one.what for one in as_read.readings] == ["start"]
 
 
-@pytest.mark.parametrize(("run", "rig", "fixed"), [
+@pytest.mark.parametrize("run, rig, fixed", [
     (swing(0.0, 2.4, 100.0, (0.3, 0.2)), JOINT.format([]), {"beta2": 0.08}),
     (swing(0.0, 0.4, 30.0, (0.8, 0.4)), JOINT.format([]), {"beta2": 0.08}),
     (pendulum_run("r", 4), JOINT.format([1]), {}), (pendulum_run("r", 5, drag=0.02), JOINT.format([1]), {}),

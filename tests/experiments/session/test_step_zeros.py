@@ -13,7 +13,7 @@ from tests.support.driven_pendulum import pendulum_run
 from tests.support.shell import Shell
 
 
-@pytest.mark.parametrize(("first", "zero"), [(40, 0.0), (260, 0.0), (40, 0.5), (260, 0.5)])
+@pytest.mark.parametrize("first, zero", [(40, 0.0), (260, 0.0), (40, 0.5), (260, 0.5)])
 def test_the_part_whose_zero_explains_the_torque_is_kept(first: int, zero: float, tmp_path: Path) -> None:
     run = pendulum_run("r", 5)
     behind = np.arange(len(run)) >= first

@@ -57,7 +57,7 @@ def test_a_geared_joint_is_told_of_its_rotor_and_of_no_unit(tmp_path: Path, shel
     assert "looks" not in said and "NOT TO BE USED" not in said
 
 
-@pytest.mark.parametrize(("turns_on", "factor", "unit"), [
+@pytest.mark.parametrize("turns_on, factor, unit", [
     (True, DEGREES, "deg"), (True, TURNS, "turn"), (False, DEGREES, "deg")])
 def test_a_unit_that_explains_the_torque_is_named(turns_on: bool, factor: float, unit: str, tmp_path: Path,
                                                   shell: Shell) -> None:

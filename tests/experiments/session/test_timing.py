@@ -37,7 +37,7 @@ def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
     assert not any(one.effect == "torque_delay" for one in found.estimate.omitted)
 
 
-@pytest.mark.parametrize(("period_s", "hold"), [
+@pytest.mark.parametrize("period_s, hold", [
     (0.005, "zero"), (0.010, "zero"), (0.001, "zero/5"), (0.0025, "zero/2"), (0.0001, "smooth")])
 def test_a_stated_control_period_is_the_hold(period_s: float, hold: str) -> None:
     rng = np.random.default_rng(3)

@@ -39,7 +39,7 @@ def stranger(run: Dataset) -> Dataset:
     return arm_run(99, seconds=6.0, beta=BETA * np.array([1, 8, 1, 0.1, 5, 1, 1, 1, 1]))
 
 
-@pytest.mark.parametrize(("spoil", "why"), [
+@pytest.mark.parametrize("spoil, why", [
     (locked, "joint 2 never moves"), (torn, "no segment of 20 samples"), (stuck, "tau1_nm never changes"),
     (stranger, "of another rig"), (lambda run: negated(run, "tau2_nm"), "of another rig"),
     (lambda run: with_column(run, "q1_rad", np.degrees(run["q1_rad"])), "of another rig")])

@@ -41,7 +41,7 @@ def told(setup: Setup) -> tuple[str, ...]:
     return (*found.remedies, *found.against)
 
 
-@pytest.mark.parametrize(("frequency_hz", "amplitude", "noise"), [(0.8, 0.3, 2e-4), (2.0, 0.1, 1e-3)])
+@pytest.mark.parametrize("frequency_hz, amplitude, noise", [(0.8, 0.3, 2e-4), (2.0, 0.1, 1e-3)])
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 7])
 def test_one_sine_says_nothing_of_signs(frequency_hz: float, amplitude: float, noise: float, seed: int) -> None:
     assert told(setup_of([one_sine(seed, frequency_hz, amplitude, noise)], parse_rig(JOINT))) == ()

@@ -85,7 +85,7 @@ def followed(folder: Path, model: Path, start: list[float], peak: float = 1.0, s
     return angles
 
 
-@pytest.mark.parametrize(("viscous", "peak"), [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
+@pytest.mark.parametrize("viscous, peak", [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_mjcf_moves_as_the_simulation_does(seed: int, viscous: float, peak: float, tmp_path: Path) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), viscous), LEG)
@@ -201,7 +201,7 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, shell: Shell) -> None
     assert "viscous friction of pivot is -0.003" in notes and "frictionloss" in notes
 
 
-@pytest.mark.parametrize(("changes", "words"), [
+@pytest.mark.parametrize("changes, words", [
     ({2: 1.0}, "not positive definite"), ({4: -0.1}, "no length"), ({4: 0.0}, "no length")])
 def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg())

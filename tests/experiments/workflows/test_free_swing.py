@@ -35,7 +35,7 @@ def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2) -
     return [*map(str, paths), "--rig", str(folder / "rig.toml")]
 
 
-@pytest.mark.parametrize(("actuated", "torque"), [("[2]", True), ("[]", True), ("[]", False)])
+@pytest.mark.parametrize("actuated, torque", [("[2]", True), ("[]", True), ("[]", False)])
 def test_with_one_parameter_given_the_others_follow(tmp_path: Path, leg: Leg, actuated: str, torque: bool,
                                                     shell: Shell) -> None:
     runs, beta = files(tmp_path, leg, actuated, torque), leg.beta()

@@ -78,7 +78,7 @@ def test_the_passive_pivot_is_the_papers_case(tmp_path: Path, shell: Shell) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("design", "names"), [("dfki_c0", ["00", "01", "02", "03", "04", "05", "06"]),
+@pytest.mark.parametrize("design, names", [("dfki_c0", ["00", "01", "02", "03", "04", "05", "06"]),
                                                ("dfki_a0", ["00", "01", "02", "03", "12"])])
 def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(design: str, names: list[str]) -> None:
     """Each run is left out in turn: parameters by the others, its zeros by its first half, the second simulated."""

@@ -123,7 +123,7 @@ def test_a_hold_that_no_rig_file_states_is_a_smooth_torque_and_a_delay() -> None
     assert _between(bench, parse_rig(LEG_RIG)) == ("smooth", pytest.approx(-0.002))
 
 
-@pytest.mark.parametrize(("depth", "wanted"), [(4.0, 0.0122), (0.1, 0.0150)])
+@pytest.mark.parametrize("depth, wanted", [(4.0, 0.0122), (0.1, 0.0150)])
 def test_a_delay_changes_where_another_predicts_better(depth: float, wanted: float) -> None:
     """The likelihood's stays where the others gain too little."""
     def attempt(times: Times) -> Trial:
