@@ -37,6 +37,7 @@ from tests.support.c_firmware import (
     run_core,
     run_script,
 )
+from tests.support.wire_by_hand import cobs_by_hand, crc_ccitt_false
 
 LOST = -(2**31)
 UNKNOWN = bytes.fromhex("04 09 D9 70 00")
@@ -335,14 +336,8 @@ def split(sent: bytes) -> list[CanFrame]:
 
 
 def test_the_most_negative_torque_is_beyond_the_limit() -> None:
-    frame = bytearray(b"\x01\x00\x00\x00\x00\x00\x80")
-    crc = 0xFFFF
-    for byte in frame:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021) & 0xFFFF if crc & 0x8000 else crc << 1
-    data = bytes(frame) + crc.to_bytes(2, "little")
-    stuffed = b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0")) + b"\0"
+    frame = b"\x01\x00\x00\x00\x00\x00\x80"
+    stuffed = cobs_by_hand(frame + crc_ccitt_false(frame).to_bytes(2, "little"))
     end = compare([rx(0, Arm(100)), Event(500, "rx", stuffed.hex())], 4_000)
     (report,) = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
     assert report.fault == Fault.COMMAND_LIMIT

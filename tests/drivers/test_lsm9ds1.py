@@ -1,6 +1,7 @@
 """The driver: its bytes against the datasheet, and what it does when the bus or the chip misbehaves."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -166,25 +167,18 @@ def test_passing_bus_errors_cost_nothing(bench: Bench, errno: int) -> None:
     assert not any(b.gap_before for b in batches)
 
 
-def test_longer_trouble_restarts_the_fifo_and_is_a_gap(bench: Bench) -> None:
+@pytest.mark.parametrize("trouble, seconds, reason", [
+    (lambda chip: chip.fail(121, times=6), 0.2, "FIFO restarted"),
+    (lambda chip: chip.brown_out(), 2.0, "configured anew")])
+def test_longer_trouble_is_a_gap_after_which_the_chip_is_configured(bench: Bench, trouble: Any, seconds: float,
+                                                                     reason: str) -> None:
     bench.drain_for(0.05)
-    bench.chip.fail(121, times=6)
-    batches = bench.drain_for(0.2)
-    gaps = [b for b in batches if b.gap_before]
-    assert len(gaps) == 1
-    assert "FIFO restarted" in gaps[0].reason
-    assert len(gaps[0].raw)
-
-
-def test_a_browned_out_chip_is_noticed_and_configured_anew(bench: Bench) -> None:
-    bench.drain_for(0.05)
-    bench.chip.brown_out()
-    batches = bench.drain_for(2.0)
-    gaps = [b for b in batches if b.gap_before]
-    assert len(gaps) == 1
-    assert "configured anew" in gaps[0].reason
+    trouble(bench.chip)
+    batches = bench.drain_for(seconds)
+    (gap,) = [b for b in batches if b.gap_before]
+    assert reason in gap.reason
     assert bench.chip.ranges == (500, 4)
-    assert len(batches[-1].raw)
+    assert len(batches[-1].raw) and len(gap.raw)
 
 
 @pytest.mark.parametrize("errno, kind, words", [

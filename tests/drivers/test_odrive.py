@@ -1,6 +1,7 @@
 """ODrive: what is its own, and the published DBC against our frames and our emulator."""
 
 import math
+import struct
 from importlib.resources import files
 from typing import Any
 
@@ -84,11 +85,11 @@ def test_an_error_is_named_in_its_words_and_cleared_by_its_message() -> None:
     assert "DRV_FAULT" in bench.drive.words
     bench.drive.clear_faults()
     bench.run(0.05)
-    assert bench.drive.telemetry is not None and bench.drive.telemetry.faults, "the cause is still there"
+    assert bench.drive.telemetry.faults, "the cause is still there"
     bench.far.driver_ok = True
     bench.drive.clear_faults()
     bench.run(0.05)
-    assert bench.drive.telemetry is not None and not bench.drive.telemetry.faults
+    assert not bench.drive.telemetry.faults
 
 
 def test_an_axis_that_stops_beating_is_not_armed() -> None:
@@ -144,8 +145,6 @@ def test_every_message_has_the_published_identifier_and_length(dbc: Any) -> None
 
 
 def values(msg: Msg) -> tuple[float, ...]:
-    import struct
-
     return struct.unpack(LAYOUT[msg], bytes(struct.calcsize(LAYOUT[msg])))
 
 
@@ -188,6 +187,4 @@ def test_the_errors_have_the_published_bits(dbc: Any) -> None:
 
 def as_float(value: float) -> float:
     """Of a signal that the DBC has as a plain number of 32 bits, or as a float."""
-    import struct
-
     return value if isinstance(value, float) else struct.unpack("<f", struct.pack("<I", value))[0]

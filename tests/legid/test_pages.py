@@ -12,22 +12,17 @@ import pytest
 
 import legid
 from experiments.cli import main
-from tests.support.mujoco_leg import Leg, record
+from tests.support.imported_files import degrees_log
 from tests.support.paths import FIXTURES
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
-LOG = "Zeit [s];Hip [deg];Knee [deg];Torque [Nm]"
-"""Names as another program writes them."""
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("python")
-    run = record(Leg(), np.random.default_rng(11), seconds=10.0)
-    table = np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"]])
-    np.savetxt(folder / "log.csv", table, delimiter=";", header=LOG, comments="")
     (folder / "rig.toml").write_text(RIG)
-    return folder / "log.csv"
+    return degrees_log(folder / "log.csv", 11, "Zeit")
 
 
 def typed(*words: object) -> str:

@@ -34,7 +34,7 @@ def test_a_file_that_is_read_is_the_run_that_import_writes(tmp_path: Path, shell
 def test_a_plan_with_and_without_a_prior_model(model: Path, tmp_path: Path, shell: Shell) -> None:
     plain, designed = legid.excite(RIG, seconds=6.0), legid.excite(RIG, model, seconds=6.0, tries=1, steps=1)
     assert len(plain.to_frame()) == 600 and len(designed.to_frame()) == 9
-    for found, words in ((plain, []), (designed, ["--model", str(model), "--tries", "1", "--steps", "1"])):
+    for found, words in ((plain, []), (designed, ["--model", model, "--tries 1 --steps 1"])):
         assert len(found.plot().axes) == 1
         shown, written = tmp_path / "shell.csv", tmp_path / "python.csv"
         shell("excite --rig", RIG, "--seconds 6 --force --out", shown, *words)

@@ -87,9 +87,9 @@ def in_mujoco(model: Model, run: Dataset, step_s: float) -> Mapping[str, FloatAr
     return ExportedLeg(model, "m.json").run(record, Piece(0, len(run), np.array(START), np.zeros(2)), step_s)
 
 
-def angle_error(model: Model, step_s: float, seconds: float = 5.0) -> float:
+def angle_error(model: Model, step_s: float) -> float:
     """Largest difference of an angle's reading between both [rad]."""
-    run = simulated(model, seconds)
+    run = simulated(model, 5.0)
     found = in_mujoco(model, run, step_s)
     assert np.ptp(run["q2_rad"]) > 0.4  # it does move
     return max(float(np.abs(found[c] - run[c]).max()) for c in ("q1_rad", "q2_rad"))

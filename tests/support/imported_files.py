@@ -11,6 +11,7 @@ from scipy.io import savemat
 from daq import Dataset
 from daq.rig_columns import Column
 from experiments.exchange.column_map import load_map
+from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import typed
 
 DEGREE = np.pi / 180.0
@@ -104,3 +105,12 @@ def guess(file: Path, *words: str, status: int = 0) -> dict[str, Column]:
     target = file.with_suffix(".toml")
     typed("import", file, "--guess --map", target, *words, status=status)
     return load_map(target)
+
+
+def degrees_log(path: Path, seed: int, time: str = "Time") -> Path:
+    """Ten seconds of a leg as another program logs them: degrees, semicolons, names of its own."""
+    run = record(Leg(), np.random.default_rng(seed), seconds=10.0)
+    np.savetxt(path, np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]),
+                                      run["tau2_nm"]]),
+               delimiter=";", header=f"{time} [s];Hip [deg];Knee [deg];Torque [Nm]", comments="")
+    return path

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
@@ -22,7 +23,7 @@ def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str
         return
     assert not found.faults
     for name, values in columns.items():
-        np.testing.assert_array_equal(found.columns[name], values)
+        assert_array_equal(found.columns[name], values)
 
 
 @pytest.mark.parametrize("rate_hz, friction, rest_s", [(20.0, 0.45, 60.0), (30.0, 0.2, 300.0), (8.0, 0.6, 30.0)])
@@ -74,8 +75,8 @@ def test_readings_lost_for_moments_are_left_out_and_nothing_behind_them_moves(
         value: float, rows: list[tuple[int, int]], rate_hz: float, push: float) -> None:
     angle, wrong, found = lossy(value, rows, rate_hz, push)
     assert {fault.what for fault in found.faults} <= {"isolated", "frozen"}
-    np.testing.assert_array_equal(np.isnan(found.columns["q1_rad"]), wrong)
-    np.testing.assert_array_equal(found.columns["q1_rad"][~wrong], angle[~wrong])
+    assert_array_equal(np.isnan(found.columns["q1_rad"]), wrong)
+    assert_array_equal(found.columns["q1_rad"][~wrong], angle[~wrong])
     places = sorted(place for fault in found.faults for place in fault.rows)
     assert places == [(start + 1, stop) for start, stop in rows]
 
@@ -102,7 +103,7 @@ def test_as_read_takes_what_is_refused_otherwise() -> None:
     found = look(time, {"q1_rad": mixed}, as_read=True)
     (fault,) = found.faults
     assert "two series take turns" in str(fault) and fault.done == "kept"
-    np.testing.assert_array_equal(found.columns["q1_rad"], mixed)
+    assert_array_equal(found.columns["q1_rad"], mixed)
 
 
 @pytest.mark.parametrize("rate_hz, seconds", [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from daq import Dataset, InputError, Rig, parse_rig
 from daq.runs import read_csv, write_csv
@@ -41,8 +42,8 @@ def test_numbers_come_through_exactly(tmp_path: Path) -> None:
     table = read_csv(put(tmp_path / "r.csv", rows()), LEG)
     assert table.name == "r.csv"
     assert list(table.columns) == NAMES[1:]
-    np.testing.assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
-    np.testing.assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
+    assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
+    assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
 
 
 @pytest.mark.parametrize("change", [
@@ -54,7 +55,7 @@ def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
     path = put(tmp_path / "r.csv", rows())
     want = read_csv(path).columns["q2_rad"]
     path.write_bytes(change(path.read_text()).encode())
-    np.testing.assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
+    assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
 
 
 @pytest.mark.parametrize("line, column, cell, words", [
@@ -176,7 +177,7 @@ def test_extra_columns_are_kept_and_text_in_them_harms_nobody(tmp_path: Path) ->
     names = [*NAMES, "battery_v", "note"]
     cells = [[*line[:-1], "up" if i % 2 else ""] for i, line in enumerate(rows(60, names))]
     table = read_csv(put(tmp_path / "r.csv", cells, names), LEG)
-    np.testing.assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
+    assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
     assert "note" not in table.columns
     assert table.ignored == ("note",)
     cells[3][6] = "nan"
@@ -194,7 +195,7 @@ def test_sixty_thousand_rows_are_read_at_once(tmp_path: Path) -> None:
     start = time.process_time()
     got = read_csv(tmp_path / "r.csv", LEG)
     assert time.process_time() - start < 2.0  # processor time, some 0.1 s on an idle core
-    np.testing.assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
+    assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
@@ -209,11 +210,11 @@ def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> 
     again = load_run(tmp_path / name, LEG)
     assert "q1_rad" not in again
     assert again.rate_hz == 100.0
-    np.testing.assert_allclose(again.time_s, run.time_s, atol=2e-9)
-    np.testing.assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
+    assert_allclose(again.time_s, run.time_s, atol=2e-9)
+    assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
     for column in NAMES[1:]:
         kept = ~again.gap()
-        np.testing.assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
+        assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
     with pytest.raises(InputError, match="No such file"):
         write_csv(run, tmp_path / "nowhere" / name)
 

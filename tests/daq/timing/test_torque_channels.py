@@ -52,7 +52,7 @@ def test_gaps_are_left_out() -> None:
     data.columns["tau2_shunt_nm"][500:560] = np.nan
     data.columns["tau2_nm"][:30] = np.nan
     found = compare_torque_channels(data)
-    assert found is not None and found.gain.value == pytest.approx(1.07, abs=0.01)
+    assert found.gain.value == pytest.approx(1.07, abs=0.01)
 
 
 def test_nothing_is_said_without_a_command_or_a_channel() -> None:

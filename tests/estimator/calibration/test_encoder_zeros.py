@@ -1,6 +1,5 @@
 """Encoders' zeros that differ from run to run, on MuJoCo's leg."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from estimator.errors import FitError
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from tests.support.mujoco_leg import Leg, record
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 LEG = Leg()
 SHIFTS = np.array([[0.06, -0.09], [-0.02, 0.03], [0.01, 0.05], [-0.03, -0.01]])
@@ -82,7 +81,7 @@ def test_zeros_that_differ_are_noticed_and_others_are_not(runs: list[Dataset], p
     for mechanism, options, joints in ((leg2(), FitOptions(sensors="encoder"), (0, 1)),
                                        (leg2(lever_arm=LEG.lever), FitOptions(sensors="imu"), (1,))):
         found = find_differing(runs, mechanism, options)
-        assert found is not None and found.joints == joints
+        assert found.joints == joints
         assert found.spread == pytest.approx(np.std(SHIFTS[:, list(joints)], axis=0, ddof=1), rel=0.15)
         assert f"encoder_zero = [{', '.join(str(j + 1) for j in joints)}]" in differing_text(found)
         assert find_differing(plain, mechanism, options) is None
@@ -94,16 +93,15 @@ def test_only_a_zero_that_differs_is_declared(plain: list[Dataset]) -> None:
     for moved in (0, 1):
         runs = [shifted(data, by * np.eye(2)[moved]) for data, by in zip(plain, SHIFTS)]
         found = find_differing(runs, mechanism, options)
-        assert found is not None and found.joints == (moved,)
+        assert found.joints == (moved,)
         assert found.spread == pytest.approx(np.std(SHIFTS[:, [moved]], axis=0, ddof=1), rel=0.15)
 
 
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,
                                               shell: Shell) -> None:
-    files = []
-    for data in runs:
-        files.append(str(tmp_path / f"{data.name}.csv"))
-        write_csv(data, Path(files[-1]))
+    files = [tmp_path / f"{data.name}.csv" for data in runs]
+    for data, file in zip(runs, files):
+        write_csv(data, file)
     errors = {}
     for name, terms in (("plain", "encoder_zero = []"), ("zero", "encoder_zero = [1, 2]\ntorque_offset = []")):
         rig, model = tmp_path / f"{name}.toml", tmp_path / f"{name}.json"
@@ -112,14 +110,9 @@ def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Pat
         said = shell.out
         assert ("encoders' zeros, another in every run, are taken off" in said) == (name == "zero")
         assert "encoder_offset@1 explains most of it" not in said  # what all runs have in common is off, too
-        shell("validate", model, files[3], "--rig", rig, "--sensors encoder --json", tmp_path / f"{name}-v.json")
-        errors[name] = rmse(tmp_path / f"{name}-v.json")
+        (found,) = document("validate", model, files[3], "--rig", rig, "--sensors encoder")["runs"]
+        errors[name] = found["rmse"]["q2_rad"]
     assert errors["zero"] < 0.8 * errors["plain"]
-
-
-def rmse(path: Path) -> float:
-    (found,) = json.loads(path.read_text())["runs"]
-    return float(found["rmse"]["q2_rad"])
 
 
 def test_a_joint_that_is_not_there_is_refused(tmp_path: Path, shell: Shell) -> None:

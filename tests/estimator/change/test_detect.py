@@ -55,7 +55,7 @@ def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: 
     cause = next(c for c in found.causes if c.effect == name)
     assert found.verdict in ("named", "partial", "one_of") and cause.kind == kind
     assert cause.size[0].value == pytest.approx(size, rel=0.25)
-    assert found.held_out is not None and sum(found.held_out.gain) > 0.0
+    assert sum(found.held_out.gain) > 0.0
 
 
 def test_an_encoder_whose_zero_differs_from_run_to_run_shows_no_change_of_it(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size:
         return
     cause = next(c for c in found.causes if c.effect == name)
     assert cause.kind == kind and cause.size[0].value == pytest.approx(size, rel=0.25)
-    assert found.held_out is not None and len(found.held_out.runs) == 8
+    assert len(found.held_out.runs) == 8
 
 
 def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:

@@ -79,8 +79,8 @@ def test_a_negated_torque_ends_with_the_remedy_and_no_model(tmp_path: Path, shel
     run = swing_run(viscous=0.05, coulomb=0.1)
     rig, model = tmp_path / "rig.toml", tmp_path / "model.json"
     rig.write_text(SWING_RIG)
-    words = ["fit", *written([negated(run, "tau1_nm")], tmp_path), "--rig", str(rig), "--model-out", str(model),
-             "--json", str(tmp_path / "fit.json")]
+    words = ("fit", *written([negated(run, "tau1_nm")], tmp_path), "--rig", rig, "--model-out", model, "--json",
+             tmp_path / "fit.json")
     shell(*words, status=1)
     said = shell.err.strip().splitlines()[-1]
     assert "no mechanism's" in said and "tau1_nm looks negated" in said and "[columns.tau1_nm]" in said

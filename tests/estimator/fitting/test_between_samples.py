@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
 from daq import Dataset
@@ -107,9 +108,9 @@ def test_a_smooth_torque_s_integral_and_first_moment() -> None:
 def test_slopes_are_those_of_scipy_s_spline() -> None:
     u = np.random.default_rng(1).normal(size=(400, 2)).cumsum(axis=0)
     wanted = CubicSpline(np.arange(400), u).derivative()(np.arange(400))
-    np.testing.assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
+    assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
     line = np.arange(3.0)[:, None] * [[2.0, -1.0]]
-    np.testing.assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
+    assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
 
 
 @pytest.mark.parametrize("timing, hold", [
@@ -144,7 +145,7 @@ def test_every_hold_acts_as_late_as_it_says(hold: str) -> None:
     torque = c.torque(np.hstack([u, u]), slice(30, 40))
     curve = c.between(np.hstack([u, u]), np.array([60]))
     mean = (torque if curve is None else torque + curve[:, :, 30:40])[0].mean(axis=0)
-    np.testing.assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
+    assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.2, 0.5, 1.0])
@@ -153,9 +154,9 @@ def test_a_held_torque_steps_within_an_interval(late: float) -> None:
     values = Collocation(leg2(), 0.01, "zero", late).torque(u, slice(0, 19))[0]
     fine = (np.arange(20000) + 0.5) / 20000
     acting = np.where(fine[:, None] < late, u[:-1, 0], u[1:, 0])
-    np.testing.assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
+    assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
     moments = (GAUSS[0] - 0.5) * values[0] / 2 + (GAUSS[1] - 0.5) * values[1] / 2
-    np.testing.assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
+    assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
 
 
 def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:

@@ -114,7 +114,7 @@ def likelihood(wandering: Made) -> MarginalLikelihood:
     problem = LatentProblem(signals, mechanism, "linear")
     state = start_state(problem, signals, mechanism, OPTIONS, *free_mask(mechanism, OPTIONS))
     state = iterate(problem, state, np.ones(9, dtype=bool), OPTIONS, noise_floors(problem, mechanism, state.beta))
-    assert state.noise.stiction is not None and state.noise.stiction.any()
+    assert state.noise.stiction.any()
     return disturbance_likelihood(signals, problem, state)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from estimator import FitError, FitOptions, fit
@@ -36,10 +37,10 @@ def test_jacobians_are_the_derivatives(imu: bool) -> None:
     for k in range(x.shape[1]):
         d = np.zeros(x.shape[1])
         d[k] = 1e-6
-        np.testing.assert_allclose(slope[..., k], (f.acceleration(x + d, u) - f.acceleration(x - d, u)) / 2e-6,
-                                   rtol=1e-5, atol=1e-5)
+        assert_allclose(slope[..., k], (f.acceleration(x + d, u) - f.acceleration(x - d, u)) / 2e-6,
+                        rtol=1e-5, atol=1e-5)
         both = [f._measurement(x + s * d, u)[0] for s in (1, -1)]
-        np.testing.assert_allclose(h[..., k], (both[0] - both[1]) / 2e-6, rtol=1e-5, atol=1e-5)
+        assert_allclose(h[..., k], (both[0] - both[1]) / 2e-6, rtol=1e-5, atol=1e-5)
 
 
 def test_covariance_follows_the_transposed_equation() -> None:
@@ -54,8 +55,8 @@ def test_covariance_follows_the_transposed_equation() -> None:
     p = p0[None]
     for _ in range(20):
         p = _advance_covariance(a[None], q[None], p, t / 20)
-    np.testing.assert_allclose(p[0], exact, rtol=1e-9)
-    np.testing.assert_allclose(p[0], p[0].T, rtol=1e-12)
+    assert_allclose(p[0], exact, rtol=1e-9)
+    assert_allclose(p[0], p[0].T, rtol=1e-12)
 
 
 def test_walker_with_a_nearly_exact_angle_is_found() -> None:
@@ -64,7 +65,7 @@ def test_walker_with_a_nearly_exact_angle_is_found() -> None:
     found = fit_each(records, motor_mechanism(), case_options(CASES[0]), "hekf")
     beta = np.array([outcome.beta for outcome in found if not isinstance(outcome, FitError)])
     assert len(beta) == 6
-    np.testing.assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
+    assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
 
 
 def test_records_together_are_records_alone() -> None:
@@ -75,14 +76,14 @@ def test_records_together_are_records_alone() -> None:
     for data, outcome in zip(records, together):
         assert not isinstance(outcome, FitError)
         alone = fit([data], motor_mechanism(), options, "hekf")
-        np.testing.assert_allclose(outcome.beta, alone.beta, rtol=1e-9)
+        assert_allclose(outcome.beta, alone.beta, rtol=1e-9)
 
 
 def test_leg_with_imu_is_found() -> None:
     leg = Leg()
     run = record(leg, np.random.default_rng(3), seconds=4.0)
     result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), "hekf")
-    np.testing.assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.05)
+    assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.05)
     assert np.all(result.std > 0.0)
 
 

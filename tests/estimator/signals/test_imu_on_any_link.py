@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator import FitError, FitOptions
 from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
@@ -38,7 +39,7 @@ def test_readings_are_those_of_mujoco(name: str) -> None:
     read = predicted_columns(mechanism, motion.q, motion.qd, qdd)
     for k in range(len(sensors)):
         for column, known in zip(imu_names(k), motion.imu[:, k].T):
-            np.testing.assert_allclose(read[column], known, rtol=0.0, atol=1e-11 * np.abs(known).max())
+            assert_allclose(read[column], known, rtol=0.0, atol=1e-11 * np.abs(known).max())
     assert np.abs(motion.imu[:, :, 1:]).max() > 9.0 and mujoco.__version__
 
 
@@ -50,11 +51,11 @@ def test_slopes_are_the_readings_own(name: str) -> None:
     motion, h = rng.normal(size=(3, mechanism.n, 5)), 1e-6
     for place in mechanism.imus:
         felt, *slopes = accelerometer_slopes(mechanism, place, *motion)
-        np.testing.assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
+        assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
         angle = mechanism.transform[place.link] @ motion[0]
         for one, other in zip(accelerometer_slopes(mechanism, place, *motion, turned=(np.cos(angle), np.sin(angle))),
                               (felt, *slopes)):
-            np.testing.assert_allclose(one, other, atol=1e-13)
+            assert_allclose(one, other, atol=1e-13)
         for which, slope in enumerate(slopes):
             for j in range(mechanism.n):
                 up, down = motion.copy(), motion.copy()
@@ -62,7 +63,7 @@ def test_slopes_are_the_readings_own(name: str) -> None:
                 down[which, j] -= h
                 numeric = (np.stack(accelerometer_at(mechanism, place, *up))
                            - np.stack(accelerometer_at(mechanism, place, *down))) / (2.0 * h)
-                np.testing.assert_allclose(slope[:, j], numeric, atol=1e-7)
+                assert_allclose(slope[:, j], numeric, atol=1e-7)
 
 
 @pytest.mark.parametrize("links, sensors, encoders", [

@@ -1,6 +1,5 @@
 """IMUs beyond link 1 as a person uses them: rig.toml, CSV files, fit, validate, simulate, and what is refused."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from daq.runs import read_csv, write_csv
 from estimator.model import leg2
 from experiments.cli.main import main
 from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, Tree, disturbed, move, random_tree, torques
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 RIG = """[mechanism]
 model = "leg2"
@@ -53,14 +52,13 @@ def laid(tmp_path_factory: pytest.TempPathFactory) -> Laid:
 @pytest.mark.parametrize("use", ["shank", "two"])
 def test_fit_validate_and_simulate(laid: Laid, use: str, tmp_path: Path, shell: Shell) -> None:
     folder, tree = laid
-    rig, model, fitted = str(folder / f"{use}.toml"), str(tmp_path / "model.json"), tmp_path / "fit.json"
-    shell("fit", folder / f"{use}0.csv", "--rig", rig, "--json", fitted, "--model-out", model)
+    rig, model = folder / f"{use}.toml", tmp_path / "model.json"
+    fitted = document("fit", folder / f"{use}0.csv", "--rig", rig, "--model-out", model)
     assert "on link 2 rides on links of exactly the lengths declared" in shell.out
-    document = json.loads(fitted.read_text())
     truth = tree.beta(leg2(velocity_scale=FRICTION_RADPS))
-    for parameter, true in zip(document["parameters"], truth):
+    for parameter, true in zip(fitted["parameters"], truth):
         assert abs(parameter["value"] - true) < 4.0 * parameter["std"], parameter["name"]
-    assert ("gyro2_radps" in document["noise"]) == (use == "two")
+    assert ("gyro2_radps" in fitted["noise"]) == (use == "two")
     shell("validate", model, folder / f"{use}1.csv", "--rig", rig)
     assert "TRUST for simulation" in shell.out
     plan, out = tmp_path / "plan.csv", tmp_path / "simulated.csv"
@@ -93,7 +91,7 @@ def test_what_cannot_be_used_is_said_in_one_line(laid: Laid, change: tuple[str, 
 
 def test_methods_and_diagnoses_that_know_one_imu_refuse_more(laid: Laid, shell: Shell) -> None:
     folder, _ = laid
-    rig, runs = str(folder / "two.toml"), [str(folder / f"two{k}.csv") for k in range(2)]
+    rig, runs = folder / "two.toml", [folder / f"two{k}.csv" for k in range(2)]
     said = shell.fails("fit", *runs, "--rig", rig, "--method wls", status=1)
     assert "--method wls knows one IMU on link 1 and encoders of all other joints" in said
     assert "has 2 IMUs; a diagnosis knows the faults of one" in shell.fails("diagnose", *runs, "--rig", rig)

@@ -22,7 +22,7 @@ from experiments.doctor import bus, link, preflight
 from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 pytestmark = REAL_CLOCK
 
@@ -47,17 +47,11 @@ shunt_offset_a = 0.031
 """
 
 
-class SwungPlant:
+def by_hand(t: float) -> StillState:
     """Both joints swung by hand: the motion is written down, not simulated."""
-
-    def __init__(self) -> None:
-        self.t = 0.0
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        self.t += dt_s
-        a, w = 0.5, 2 * math.pi * 0.7
-        c, s = math.cos(w * self.t), math.sin(w * self.t)
-        return StillState(a * s, 0.8 * a * (1 - c), a * w * c, 0.8 * a * w * s, -a * w * w * s)
+    a, w = 0.5, 2 * math.pi * 0.7
+    c, s = math.cos(w * t), math.sin(w * t)
+    return StillState(a * s, 0.8 * a * (1 - c), a * w * c, 0.8 * a * w * s, -a * w * w * s)
 
 
 @dataclass
@@ -115,7 +109,7 @@ def bench(serve: Callable[..., Bench]) -> Bench:
 
 @pytest.fixture
 def swung(serve: Callable[..., Bench]) -> Bench:
-    return serve(SwungPlant())
+    return serve(MovingPlant(by_hand))
 
 
 def lines(out: str) -> dict[str, str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap_ros2.reader import read_ros2_messages
+from numpy.testing import assert_allclose, assert_array_equal
 
 from daq.dataset import Dataset
 from daq.rig import Rig, load_rig
@@ -48,9 +49,9 @@ def test_to_the_bit(kind: str, demo_run: Path, rig: Rig, tmp_path: Path) -> None
     typed("export", demo_run, "--to", kind, "--out", out)
     was, again = load_any_run(demo_run, rig), load_any_run(out, rig)
     assert list(again.columns) == list(was.columns) and again.clock_bound_s == was.clock_bound_s > 0
-    np.testing.assert_array_equal(again.time_s, was.time_s)
+    assert_array_equal(again.time_s, was.time_s)
     for name, values in was.columns.items():
-        np.testing.assert_array_equal(again[name], values)
+        assert_array_equal(again[name], values)
 
 
 def test_a_fit_of_what_comes_back_is_the_same(demo_run: Path, messages_file: Path, rig: Rig, reference: FitResult,
@@ -75,10 +76,10 @@ def test_ros2_messages_by_another_library(demo_run: Path, rig: Rig, tmp_path: Pa
     assert len(messages) == imu.time_s.size > 1000
     stamps = np.array([m.ros_msg.header.stamp.sec * 10**9 + m.ros_msg.header.stamp.nanosec for m in messages])
     assert (np.diff(stamps) > 0).all()
-    np.testing.assert_allclose(np.diff(stamps) * 1e-9, np.diff(imu.time_s), atol=2e-9)
+    assert_allclose(np.diff(stamps) * 1e-9, np.diff(imu.time_s), atol=2e-9)
     assert datetime.fromtimestamp(stamps[0] * 1e-9, UTC).year >= 2025
-    np.testing.assert_array_equal([m.ros_msg.angular_velocity.z for m in messages], -imu.columns["gyro_radps"])
-    np.testing.assert_array_equal([m.ros_msg.linear_acceleration.x for m in messages], imu.columns["accel_x_mps2"])
+    assert_array_equal([m.ros_msg.angular_velocity.z for m in messages], -imu.columns["gyro_radps"])
+    assert_array_equal([m.ros_msg.linear_acceleration.x for m in messages], imu.columns["accel_x_mps2"])
     assert messages[0].ros_msg.orientation_covariance[0] == -1.0
     knee = next(iter(read_ros2_messages(str(out), topics=["/joint_torques"]))).ros_msg
     assert knee.name == ["knee"] and len(knee.effort) == 1
@@ -97,4 +98,4 @@ def test_a_csv_becomes_messages_that_count_from_zero(demo_run: Path, rig: Rig, t
     assert "no wall clock" in shell.err
     was, again = load_run(tmp_path / "r.csv", rig), load_any_run(tmp_path / "r.mcap", rig)
     assert len(again) == len(was)
-    np.testing.assert_allclose(again["gyro_radps"], was["gyro_radps"], atol=1e-9)
+    assert_allclose(again["gyro_radps"], was["gyro_radps"], atol=1e-9)

@@ -1,6 +1,5 @@
 """Files of other programs: guessed, imported and fitted; and what a map or a file may not say."""
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.rosbag2 import StoragePlugin
 from scipy.io import savemat
 
@@ -24,7 +24,7 @@ from experiments.exchange.delimited import read_delimited
 from experiments.exchange.reading import load_any_run, read_imported
 from tests.support.imported_files import guess, matlab, plotjuggler, ros2_bag, spreadsheet
 from tests.support.mujoco_leg import Leg, record
-from tests.support.shell import Shell, typed
+from tests.support.shell import Shell, document, typed
 
 LEG = Leg(coulomb=(0.01, 0.02))
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
@@ -52,11 +52,10 @@ def test_from_somebody_s_file_to_a_fit_in_three_commands(file: str, make: Made, 
         columns.write_text(re.sub(r'(name = "/imu/.*")', r"\1\ndelay = 0.002", columns.read_text()))
     typed("import", theirs, "--map", columns, "--out", out)
     (imported,) = out.iterdir()
-    typed("fit", imported, "--rig", tmp_path / "rig.toml", "--json", tmp_path / "f.json")
-    beta = np.array([p["value"] for p in json.loads((tmp_path / "f.json").read_text())["parameters"]])
+    beta = np.array([p["value"] for p in document("fit", imported, "--rig", tmp_path / "rig.toml")["parameters"]])
     expected = legid.fit([run], load_rig(tmp_path / "rig.toml")).beta
-    np.testing.assert_allclose(beta[:5], expected[:5], rtol=1e-3)
-    np.testing.assert_allclose(beta[:5], LEG.beta()[:5], rtol=0.03)
+    assert_allclose(beta[:5], expected[:5], rtol=1e-3)
+    assert_allclose(beta[:5], LEG.beta()[:5], rtol=0.03)
 
 
 def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> None:
@@ -65,7 +64,7 @@ def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> 
     (tmp_path / "rig.toml").write_text(RIG + (tmp_path / "x.toml").read_text())
     read = load_any_run(theirs, load_rig(tmp_path / "rig.toml"))
     for name in ("q2_rad", "tau2_nm", "gyro_radps"):
-        np.testing.assert_array_equal(read[name], mapped[name])
+        assert_array_equal(read[name], mapped[name])
     assert np.abs(np.abs(read["q2_rad"]) - np.abs(run["q2_rad"])).max() < 1e-12
     write_csv(replace(run, clock_bound_s=1e-4), tmp_path / "own.csv")  # which the map does not speak of
     own = load_any_run(tmp_path / "own.csv", load_rig(tmp_path / "rig.toml"))
@@ -161,8 +160,8 @@ def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
     run = apply_map(read_delimited(tmp_path / "x.csv"), {
         "time_s": Column(name="t"), "tau2_nm": Column(name="i", unit="mA", scale=3.0, sign=-1, offset=0.5),
         "q2_rad": Column(name="w", delay=0.02)})
-    np.testing.assert_allclose(run["tau2_nm"], 0.5 - 6e-3 * run.time_s, atol=1e-9)
-    np.testing.assert_allclose(run["q2_rad"], np.sin(run.time_s), atol=1e-6)
+    assert_allclose(run["tau2_nm"], 0.5 - 6e-3 * run.time_s, atol=1e-9)
+    assert_allclose(run["q2_rad"], np.sin(run.time_s), atol=1e-6)
 
 
 @pytest.mark.parametrize("text", [

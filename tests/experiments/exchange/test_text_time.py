@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.text_time import read_times
@@ -22,7 +23,7 @@ from tests.support.shell import Shell, typed
 def test_dates_and_times_of_day_become_seconds(cells: list[str], seconds: list[float]) -> None:
     found = read_times(cells)
     assert found is not None
-    np.testing.assert_allclose(found, seconds, atol=1e-9)
+    assert_allclose(found, seconds, atol=1e-9)
 
 
 @pytest.mark.parametrize("cells", [["abc", "def"], ["2026-13-01 00:00:00"] * 3, ["1.5", "2.5"], ["", ""],
@@ -50,8 +51,8 @@ def test_a_log_over_midnight_is_imported(tmp_path: Path) -> None:
     stamps = [f"{int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}" for s in 86395.0 + t]
     run = imported(written(tmp_path / "x.csv", "clock,angle,torque", stamps, q, tau), tmp_path)
     assert len(run) == t.size
-    np.testing.assert_allclose(run[:, 0] - run[0, 0], t, atol=1e-6)
-    np.testing.assert_allclose(run[:, 1], q, atol=1e-5)
+    assert_allclose(run[:, 0] - run[0, 0], t, atol=1e-6)
+    assert_allclose(run[:, 1], q, atol=1e-5)
 
 
 def test_a_german_log_with_its_line_of_units_is_imported(tmp_path: Path) -> None:
@@ -60,8 +61,8 @@ def test_a_german_log_with_its_line_of_units_is_imported(tmp_path: Path) -> None
     file = written(tmp_path / "x.csv", "Zeitstempel;Winkel;Drehmoment\n;°;N·m", stamps, np.degrees(q), tau,
                    separator=";")
     run = imported(file, tmp_path)
-    np.testing.assert_allclose(run[:, 0], t, atol=1e-6)
-    np.testing.assert_allclose(run[:, 1], q, atol=1e-5)
+    assert_allclose(run[:, 0], t, atol=1e-6)
+    assert_allclose(run[:, 1], q, atol=1e-5)
 
 
 def test_stamps_that_are_too_coarse_say_so(tmp_path: Path, shell: Shell) -> None:
@@ -79,7 +80,7 @@ def test_a_counter_of_microseconds_that_wraps_goes_on(tmp_path: Path, shell: She
     t, q, tau = pendulum()
     stamps = [f"{(2**32 - 5_000_000 + round(1e6 * s)) % 2**32}" for s in t]
     run = imported(written(tmp_path / "x.csv", "time_us,angle_rad,torque_nm", stamps, q, tau), tmp_path)
-    np.testing.assert_allclose(np.diff(run[:, 0]), 0.01, atol=1e-6)
+    assert_allclose(np.diff(run[:, 0]), 0.01, atol=1e-6)
     assert "wraps once by 4294.967296" in shell.err
 
 
@@ -96,7 +97,7 @@ def test_a_header_with_labels_names_its_channels(tmp_path: Path) -> None:
     file = written(tmp_path / "x.csv", head, [f"{s:.3f}" for s in t], np.degrees(q), t, 1e3 * tau)
     assert read_delimited(file).names == ["Angle time", "Angle [deg]", "Torque time", "Torque [mnm]"]
     run = imported(file, tmp_path)
-    np.testing.assert_allclose(run[:, 2], tau, atol=1e-5)
+    assert_allclose(run[:, 2], tau, atol=1e-5)
 
 
 @pytest.mark.parametrize("head", ["", "angle_rad\n"])
@@ -106,4 +107,4 @@ def test_one_column_at_a_known_rate_is_a_run(head: str, tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(f'[columns.q1_rad]\nname = "{head.strip() or "column 1"}"\n')
     typed("import", tmp_path / "swing.txt", "--map", tmp_path / "m.toml", "--rate 250 --out", tmp_path / "out")
     run = np.loadtxt(tmp_path / "out" / "swing.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)
+    assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.io import savemat
 
 from daq.errors import InputError
@@ -34,7 +35,7 @@ def test_each_kind_by_its_names_with_relative_angles(file: str, make: Maker, nam
     t, a, b = names
     run = apply_map(read_imported(tmp_path / file), {
         "time_s": Column(name=t), "q1_rad": Column(name=a), "q2_rad": Column(name=b, minus=a)}, 100.0)
-    np.testing.assert_allclose(run["q2_rad"], np.interp(run.time_s, T, RELATIVE), atol=1e-6)
+    assert_allclose(run["q2_rad"], np.interp(run.time_s, T, RELATIVE), atol=1e-6)
     assert len(run) >= len(T) - 1
 
 
@@ -110,7 +111,7 @@ def test_a_column_is_taken_off_another(tmp_path: Path) -> None:
     found = read_imported(tmp_path / "x.npz")
     columns = {"time_s": Column(name="t"), "q1_rad": Column(name="/j/a - x"),
                "q2_rad": Column(name="b", minus="/j/a - x", sign=-1, scale=2.0, offset=0.5)}
-    np.testing.assert_allclose(apply_map(found, columns, 100.0)["q2_rad"], 0.5 - 2.0 * RELATIVE)
+    assert_allclose(apply_map(found, columns, 100.0)["q2_rad"], 0.5 - 2.0 * RELATIVE)
     with pytest.raises(InputError, match="'short' has 9 rows, that which it is taken off 200"):
         apply_map(found, {**columns, "q2_rad": Column(name="b", minus="short")})
     with pytest.raises(InputError, match="has no column 'c'"):
@@ -122,7 +123,7 @@ def test_columns_with_times_of_their_own_are_taken_off_by_lines_between_samples(
     found = ImportedFile("x", (Table({"b": COLUMNS["b"]}, T), Table({"a": 3.0 * slow}, slow)))
     run = apply_map(found, {"q1_rad": Column(name="b", minus="a")}, 100.0)
     within = run.time_s <= slow[-1]
-    np.testing.assert_allclose(run["q1_rad"][within], (COLUMNS["b"] - 3.0 * T)[: within.sum()], atol=1e-9)
+    assert_allclose(run["q1_rad"][within], (COLUMNS["b"] - 3.0 * T)[: within.sum()], atol=1e-9)
 
 
 def test_wrong_rows_are_left_out_by_number(tmp_path: Path, shell: Shell) -> None:
@@ -140,7 +141,7 @@ def test_wrong_rows_are_left_out_by_number(tmp_path: Path, shell: Shell) -> None
                  "its time is not after the one before"):
         assert part in said, said
     run = read_csv(tmp_path / "out/x.csv")
-    np.testing.assert_allclose(run.columns["q1_rad"], np.sin(3.0 * run.time_s), atol=1e-4)
+    assert_allclose(run.columns["q1_rad"], np.sin(3.0 * run.time_s), atol=1e-4)
 
 
 def test_a_bad_file_does_not_stop_the_others_and_all_can_be_repeated(tmp_path: Path,
@@ -164,7 +165,7 @@ def test_a_bad_file_does_not_stop_the_others_and_all_can_be_repeated(tmp_path: P
     shell("import", *files, *to, status=2)
     assert "exists already" in shell.err
     shell("import", *files, *to, "--force")
-    np.testing.assert_allclose(read_csv(out / "c.csv").columns["q1_rad"], COLUMNS["b"], atol=1e-9)
+    assert_allclose(read_csv(out / "c.csv").columns["q1_rad"], COLUMNS["b"], atol=1e-9)
 
 
 def test_a_grid_finer_than_the_record_is_said(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """The first line: trusted where nothing is hidden, doubted where something is, and the statistics behind it."""
 
 import io
-import json
 import re
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -36,7 +35,7 @@ from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
-from tests.support.shell import Shell, typed
+from tests.support.shell import Shell, document, typed
 
 
 @pytest.fixture(scope="module")
@@ -212,16 +211,14 @@ def test_fit_is_matlab_s() -> None:
 
 def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[str, str], tmp_path: Path,
                                                       shell: Shell) -> None:
-    runs = [str(folder / f"{name}.mcap") for name in ("none2", "joint_stiffness0")]
-    models = [str(folder / f"{name}.json") for name in fits]
-    out, page = tmp_path / "c.json", tmp_path / "c.html"
-    shell("compare", *models, *runs, "--json", out, "--html", page)
+    files = [folder / name for name in (*(f"{name}.json" for name in fits), "none2.mcap", "joint_stiffness0.mcap")]
+    page = tmp_path / "c.html"
+    found = document("compare", *files, "--html", page)
     told = shell.out.splitlines()
     assert "joint_stiffness.json was fitted to joint_stiffness0.mcap" in "".join(told[:3])
-    document = json.loads(out.read_text())
-    assert document["schema"] == "legid.comparison/1" and {e["column"] for e in document["errors"]} == {
+    assert found["schema"] == "legid.comparison/1" and {e["column"] for e in found["errors"]} == {
         "q1_rad", "q2_rad", "gyro_radps"}
-    beta1 = document["parameters"][0]
+    beta1 = found["parameters"][0]
     std = np.hypot(beta1["a"]["std"], beta1["b"]["std"])
     assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 3
     assert "Coulomb friction, knee" in page.read_text() and "error of B" in page.read_text()

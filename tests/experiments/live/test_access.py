@@ -80,7 +80,7 @@ def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.Mon
 
 def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
     pytest.importorskip("nicegui")
-    out = ["--out", str(tmp_path / "o")]
+    out = "--out", tmp_path / "o"
     shell("live --rig", tmp_path / "none.toml", *out, status=2)
     (tmp_path / "rig.toml").write_text(RIG)
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -6,6 +6,7 @@ import numpy as np
 
 import legid
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.imported_files import table
 from tests.support.paths import FIXTURES
 from tests.support.shell import Shell, typed
 
@@ -14,9 +15,7 @@ RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n[sampling]\nrate_hz = 50.0
 
 def written(folder: Path, **columns: np.ndarray) -> Path:
     (folder / "rig.toml").write_text(RIG)
-    np.savetxt(folder / "run.csv", np.column_stack(list(columns.values())), delimiter=",", comments="",
-               header=",".join(columns))
-    return folder / "run.csv"
+    return table(folder / "run.csv", columns)
 
 
 def test_a_commanded_angle_asks_for_its_servo(tmp_path: Path, shell: Shell) -> None:

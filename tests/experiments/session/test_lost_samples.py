@@ -14,6 +14,7 @@ from experiments.session.lost_samples import with_lost_samples
 from experiments.session.setup import setup_of
 from experiments.workflows import fit_runs
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell
 
@@ -77,11 +78,9 @@ def test_a_constant_delay_is_no_loss(count: int) -> None:
 
 def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, shell: Shell) -> None:
     run = pendulum_run("r", 4)
-    half = len(run) // 2
-    columns = [run.time_s, run["q1_rad"], lose(run["tau1_nm"], half, 4)]
-    np.savetxt(tmp_path / "r.csv", np.column_stack(columns), delimiter=",", comments="", header="time_s,q1_rad,tau1_nm")
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
-    shell("fit", tmp_path / "r.csv", "--rig", tmp_path / "rig.toml")
+    shell("fit", table_of(run, tmp_path / "r.csv", tau1_nm=lose(run["tau1_nm"], len(run) // 2, 4)), "--rig",
+          tmp_path / "rig.toml")
     said = shell.out
     assert "against the other columns at about" in said
     beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import legid
 from daq import parse_rig
@@ -18,10 +19,10 @@ def test_a_stated_delay_moves_whole_samples_exactly() -> None:
     run = record(random_leg(rng), rng, Timing(200), seconds=2.0)
     late = with_delay(run, 0.010)
     assert np.isnan(late["tau2_nm"][:2]).all()
-    np.testing.assert_allclose(late["tau2_nm"][2:], run["tau2_nm"][:-2], atol=1e-9)
+    assert_allclose(late["tau2_nm"][2:], run["tau2_nm"][:-2], atol=1e-9)
     early = with_delay(run, -0.005)
-    np.testing.assert_allclose(early["tau2_nm"][:-1], run["tau2_nm"][1:], atol=1e-9)
-    np.testing.assert_array_equal(late["q2_rad"], run["q2_rad"])
+    assert_allclose(early["tau2_nm"][:-1], run["tau2_nm"][1:], atol=1e-9)
+    assert_array_equal(late["q2_rad"], run["q2_rad"])
 
 
 def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
@@ -31,7 +32,7 @@ def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
     rig = parse_rig(RIG + "[timing]\ntorque_delay_s = [0.007, 0.0005]\n")
     prepared = prepare(runs, rig)
     again = prepare(prepared.setup.datasets, rig)
-    np.testing.assert_array_equal(again.setup.datasets[0]["tau2_nm"], prepared.setup.datasets[0]["tau2_nm"])
+    assert_array_equal(again.setup.datasets[0]["tau2_nm"], prepared.setup.datasets[0]["tau2_nm"])
     found = legid.fit(runs, rig)
     assert found.beta[:5] == pytest.approx(leg.beta()[:5], rel=1e-2)
     assert not any(one.effect == "torque_delay" for one in found.estimate.omitted)

@@ -1,6 +1,5 @@
 """A run that no fit can use is set aside by name, with the reason, and the rest goes on."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from experiments.session.usable import usable_runs
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, negated, written
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 GOOD = [arm_run(k, seconds=6.0) for k in range(4)]
 
@@ -59,17 +58,15 @@ def test_good_runs_and_a_single_one_are_kept() -> None:
 
 def test_fit_and_validate_go_on_without_it(tmp_path: Path, shell: Shell) -> None:
     runs = written([*GOOD, replace(locked(arm_run(8, seconds=6.0)), name="bad.csv")], tmp_path)
-    rig, model, out = (tmp_path / name for name in ("rig.toml", "model.json", "out.json"))
+    rig, model = tmp_path / "rig.toml", tmp_path / "model.json"
     rig.write_text(ARM_RIG)
-    shell("fit", *runs, "--rig", rig, "--json", out, "--model-out", model)
+    found = document("fit", *runs, "--rig", rig, "--model-out", model)
     assert "warning: bad.csv is set aside: joint 2 never moves" in shell.out
-    document = json.loads(out.read_text())
-    assert [a["run"] for a in document["set_aside"]] == ["bad.csv"]
-    assert np.allclose([p["value"] for p in document["parameters"][:5]], BETA[:5], rtol=0.03)
-    out = tmp_path / "validation.json"
-    shell("validate", model, *runs[3:], "--rig", rig, "--json", out)
+    assert [a["run"] for a in found["set_aside"]] == ["bad.csv"]
+    assert np.allclose([p["value"] for p in found["parameters"][:5]], BETA[:5], rtol=0.03)
+    found = document("validate", model, *runs[3:], "--rig", rig)
     assert "bad.csv is set aside" in shell.err
-    assert {r["run"] for r in json.loads(out.read_text())["runs"]} == {"run3.csv"}
+    assert {r["run"] for r in found["runs"]} == {"run3.csv"}
 
 
 def test_a_pause_shorter_than_the_grids_step_is_no_hole() -> None:

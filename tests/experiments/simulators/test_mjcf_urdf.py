@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from msgspec import structs
+from numpy.testing import assert_allclose
 
 import legid
 from daq import load_rig
@@ -78,10 +79,10 @@ def followed(folder: Path, model: Path, start: list[float], peak: float = 1.0, s
     own = simulate(model, start, peak, seconds)
     angles, readings = drive(loaded, own[torque], 0, start, by_ctrl=True)
     true = np.column_stack([own[name] for name in ("q1_rad", "q1_m", "q2_rad") if name in own])
-    np.testing.assert_allclose(angles, true, rtol=0, atol=atol)
+    assert_allclose(angles, true, rtol=0, atol=atol)
     if imu:
         true = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
-        np.testing.assert_allclose(readings, true, rtol=0, atol=1e-4)
+        assert_allclose(readings, true, rtol=0, atol=1e-4)
     return angles
 
 
@@ -142,7 +143,7 @@ def test_other_bodies_move_alike(seed: int, tmp_path: Path) -> None:
     torque = np.sin(5 * t) + 0.5 * np.sin(11 * t + 1)
     (found, _), (true, _) = (drive(m, torque, 1, [0.4, -0.3], by_ctrl=False) for m in (exported, own))
     assert np.abs(true).max() > 2 * np.pi
-    np.testing.assert_allclose(found, true, rtol=0, atol=1e-8)
+    assert_allclose(found, true, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -152,7 +153,7 @@ def test_urdf_moves_alike(seed: int, tmp_path: Path) -> None:
     loaded.opt.integrator, loaded.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
     own = simulate(model, [0.4, -0.3])
     angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=False)
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+    assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
 
 
 def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
@@ -165,9 +166,9 @@ def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
     assert min(m1, m2, i1, i2) > 0
     assert l1 == pytest.approx(leg.l1)
     found = [i1 + m1 * c1**2 + m2 * l1**2, i2 + m2 * c2**2, m2 * l1 * c2, m1 * c1 + m2 * l1, m2 * c2]
-    np.testing.assert_allclose(found, beta[:5], rtol=1e-9)
-    np.testing.assert_allclose(loaded.dof_damping, beta[5:7])
-    np.testing.assert_allclose(loaded.dof_frictionloss, beta[7:9])
+    assert_allclose(found, beta[:5], rtol=1e-9)
+    assert_allclose(loaded.dof_damping, beta[5:7])
+    assert_allclose(loaded.dof_frictionloss, beta[7:9])
 
 
 def test_rotor_and_offset(tmp_path: Path, shell: Shell) -> None:
@@ -217,7 +218,7 @@ def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, shell: Sh
     biped = write_model(tmp_path / "b.json", [1.0] * 8, {"model": "biped3", "actuated": (2, 3)})
     servo = write_model(tmp_path / "v.json", [1.0] * 4, {"model": "joint1", "actuated": (1,), "input": "voltage"})
     leg = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
-    for model, more in ((biped, []), (servo, []), (leg, ["--rate", "100"])):
+    for model, more in ((biped, []), (servo, []), (leg, ["--rate 100"])):
         shell("export", model, "--to urdf --out", tmp_path / "x.urdf", *more, status=2)
     errors = shell.err.splitlines()
     assert len(errors) == 3

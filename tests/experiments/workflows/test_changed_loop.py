@@ -46,7 +46,7 @@ def written(runs: list[Dataset], rig: Rig, path: Path) -> Model:
 
 
 def test_a_model_says_of_a_loop_what_its_runs_say(before: list[Dataset], model: Model) -> None:
-    assert model.reference is not None and {one.effect for one in model.reference.law} >= {"encoder_scale"}
+    assert {one.effect for one in model.reference.law} >= {"encoder_scale"}
     scaled = [measured(f"b{k}", 10 + k, SCALE) for k in range(2)]
     answers = [find_change(scaled, before, RIG).change, find_change_since(scaled, model, "model.json", RIG).change]
     for found in answers:

@@ -14,7 +14,7 @@ from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 KINDS = ("moteus", "odrive", "dynamixel")
 
@@ -34,9 +34,7 @@ def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp
     assert "samples lie between request and answer" in said and "jitters by" in said
     data = load_any_run(run, parse_rig(rig.read_text()))
     assert data.clock_bound_s is not None and 2e-4 < data.clock_bound_s < 2e-3
-    shell("fit", run, "--rig", rig, "--json", tmp_path / "fit.json")
-    found = json.loads((tmp_path / "fit.json").read_text())
-    value = np.array([p["value"] for p in found["parameters"]])
+    value = np.array([p["value"] for p in document("fit", run, "--rig", rig)["parameters"]])
     assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.01
     again = tmp_path / "again.mcap"
     shell("record --replay", run, "--out", again)
@@ -67,7 +65,7 @@ def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path
     rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
     rig.write_text(rig_text("moteus").replace("/dev/ttyACM0", str(tmp_path / "no-port")))
     write_plan(random_multisine(7, 5.0, 0.6), plan)
-    record = ["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap")]
+    record = "record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap"
     assert "--estop-at-hand" in shell.fails(*record)
     assert "no such port" in shell.fails(*record, "--estop-at-hand", status=1)
 
