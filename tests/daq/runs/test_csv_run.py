@@ -22,6 +22,10 @@ def rig(model: str, actuated: str, more: str = "") -> Rig:
     return parse_rig(f'[mechanism]\nmodel = "{model}"\nactuated = {actuated}\n{more}')
 
 
+JOINT, VOLTS = rig("joint1", "[1]"), rig("joint1", "[1]", 'input = "voltage"\n')
+BIPED = rig("biped3", "[2, 3]")
+
+
 def rows(count: int = 60, names: list[str] = NAMES) -> list[list[str]]:
     return [[f"{0.01 * i:.3f}", *(f"{i + j}.5" for j in range(1, len(names)))] for i in range(count)]
 
@@ -142,34 +146,32 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rig_, names, column", [
-    (LEG, NAMES[1:], "time_s"), (LEG, ["time_s", "tau2_nm", "q1_rad"], "q2_rad"),
-    (LEG, ["time_s", "q2_rad", "q1_rad"], "tau2_nm"), (LEG, ["time_s", "q2_rad", "tau2_nm"], "q1_rad"),
-    (LEG, NAMES[:5], "accel_y_mps2"), (rig("leg2", "[1, 2]"), NAMES, "tau1_nm"),
-    (rig("leg2", "[1]"), ["time_s", "q2_rad", "q1_rad", "tau1_nm"], "tau2_nm"),
-    (rig("joint1", "[1]"), ["time_s", "tau1_nm"], "q1_rad"), (rig("joint1", "[1]"), ["time_s", "q1_rad"], "tau1_nm"),
-    (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_nm"], "tau1_n"),
-    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "volts"], "duty"),
-    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "tau2_nm", "tau3_nm"], "q3_rad"),
-    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau2_nm"], "tau3_nm"),
-    (rig("chain", "[4]", "links = 4\n"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "q4_rad"], "tau4_nm"),
-])
-def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: list[str], column: str) -> None:
-    assert f"line 1: column {column} is missing" in refusal(put(tmp_path / "r.csv", rows(60, names), names), rig_)
+    (LEG, "q2_rad tau2_nm gyro_radps accel_x_mps2 accel_y_mps2", "time_s"), (LEG, "time_s tau2_nm q1_rad", "q2_rad"),
+    (LEG, "time_s q2_rad q1_rad", "tau2_nm"), (LEG, "time_s q2_rad tau2_nm", "q1_rad"),
+    (LEG, "time_s q2_rad tau2_nm gyro_radps accel_x_mps2", "accel_y_mps2"),
+    (rig("leg2", "[1, 2]"), " ".join(NAMES), "tau1_nm"),
+    (rig("leg2", "[1]"), "time_s q2_rad q1_rad tau1_nm", "tau2_nm"), (JOINT, "time_s tau1_nm", "q1_rad"),
+    (JOINT, "time_s q1_rad", "tau1_nm"), (JOINT, "time_s q1_m tau1_nm", "tau1_n"),
+    (VOLTS, "time_s q1_rad volts", "duty"), (BIPED, "time_s q1_rad q2_rad tau2_nm tau3_nm", "q3_rad"),
+    (BIPED, "time_s q1_rad q2_rad q3_rad tau2_nm", "tau3_nm"),
+    (rig("chain", "[4]", "links = 4\n"), "time_s q1_rad q2_rad q3_rad q4_rad", "tau4_nm")])
+def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: str, column: str) -> None:
+    path = put(tmp_path / "r.csv", rows(60, names.split()), names.split())
+    assert f"line 1: column {column} is missing" in refusal(path, rig_)
 
 
 @pytest.mark.parametrize("rig_, names", [
-    (LEG, ["time_s", "q2_rad", "tau2_nm", "q1_rad"]), (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_n"]),
-    (rig("joint1", "[]"), ["time_s", "q1_rad"]), (rig("leg2", "[]"), ["time_s", "q2_rad", "q1_rad"]),
-    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "duty", "volts"]),
-    (rig("biped3", "[3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau3_nm"]),
-])
-def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: list[str]) -> None:
-    assert set(read_csv(put(tmp_path / "r.csv", rows(60, names), names), rig_).columns) == set(names[1:])
+    (LEG, "time_s q2_rad tau2_nm q1_rad"), (JOINT, "time_s q1_m tau1_n"), (rig("joint1", "[]"), "time_s q1_rad"),
+    (rig("leg2", "[]"), "time_s q2_rad q1_rad"), (VOLTS, "time_s q1_rad duty volts"),
+    (rig("biped3", "[3]"), "time_s q1_rad q2_rad q3_rad tau3_nm")])
+def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: str) -> None:
+    found = read_csv(put(tmp_path / "r.csv", rows(60, names.split()), names.split()), rig_)
+    assert {"time_s", *found.columns} == set(names.split())
 
 
 def test_a_servo_by_voltage_is_told_so(tmp_path: Path) -> None:
     names = ["time_s", "q1_rad", "duty", "volts"]
-    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), rig("joint1", "[1]"))
+    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), JOINT)
     assert 'input = "voltage"' in said
 
 
