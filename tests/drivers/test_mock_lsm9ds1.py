@@ -189,7 +189,8 @@ def test_clips_at_full_scale() -> None:
 
 
 def test_same_seed_same_samples() -> None:
-    assert np.array_equal(*(samples_of(StillPlant(), ImuSettings(), 0.3) for _ in range(2)))
+    one, other = (samples_of(StillPlant(), ImuSettings(), 0.3) for _ in range(2))
+    assert np.array_equal(one, other)
 
 
 def ramp(t: float) -> StillState:

@@ -225,11 +225,10 @@ def test_excitation_is_odd_and_bounded() -> None:
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
-    root = tmp_path_factory.mktemp("blind")
+def cases(module_path: Path) -> tuple[Path, list[dict[str, Any]]]:
     chosen = [Case("none", seed=2), Case("single", ("torque_offset",), "large", 1),
               Case("single", ("sensor_time_skew",), seed=1), Case("outside", ("loose_payload",), seed=1)]
-    return root, bench.generate(chosen, root, samples=300, step=1e-3)
+    return module_path, bench.generate(chosen, module_path, samples=300, step=1e-3)
 
 
 def test_files_are_the_contract_s_and_hold_no_truth(cases: tuple[Path, list[dict[str, Any]]]) -> None:

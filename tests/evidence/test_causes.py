@@ -238,7 +238,7 @@ def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkey
 
 
 def test_records_alone_have_a_page_of_their_own(tmp_path: Path) -> None:
-    told: list[tuple[str, str, list[str]]] = [
+    told = [
         ("untouched", "none", []), ("torque_delay", "named", ["torque_delay"]), ("encoder_scale", "none", [])]
     cases = [put(tmp_path, PlannedCase(RECORDS, f"a0.{fault}", 1), verdict, found, 1.2, size=1.0)
              for fault, verdict, found in told]

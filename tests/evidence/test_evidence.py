@@ -29,7 +29,7 @@ def test_every_target_of_make_that_a_line_names_runs_that_program() -> None:
             words = one.command.split()
             if words[0] == "make":
                 recipe = re.search(rf"^{words[1]}: .*\n((?:[\t#].*\n|endif.*\n)+)", makefile, re.MULTILINE)
-                assert f"evidence {name}" in recipe[1], one.command
+                assert recipe is not None and f"evidence {name}" in recipe[1], one.command
             else:
                 assert words[:4] == ["python", "-m", "evidence", name], one.command
 

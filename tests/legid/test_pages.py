@@ -19,10 +19,9 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("python")
-    (folder / "rig.toml").write_text(RIG)
-    return degrees_log(folder / "log.csv", 11, "Zeit")
+def log(module_path: Path) -> Path:
+    (module_path / "rig.toml").write_text(RIG)
+    return degrees_log(module_path / "log.csv", 11, "Zeit")
 
 
 def typed(*words: object) -> str:

@@ -14,8 +14,8 @@ HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("model") / "model.json"
+def model(module_path: Path) -> Path:
+    path = module_path / "model.json"
     legid.save_model(legid.model(legid.fit(legid.load(HEALTHY, RIG), method="wls")), path)
     return path
 

@@ -70,13 +70,12 @@ def test_only_a_cause_that_is_named_agrees(verdict: Verdict, effects: list[str],
 
 
 @pytest.fixture(scope="module")
-def book(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+def book(module_path: Path) -> tuple[dict[str, Any], str]:
     """JSON by folder, and the page."""
-    out = tmp_path_factory.mktemp("casebook")
     wanted = [word for name in ("emps", "multiarm", "song_imu", "bam_xl330") for word in ("--only", name)]
-    typed("casebook", DATA, *wanted, "--json", out / "c.json", "--html", out / "c.html")
-    return ({case["folder"]: case for case in json.loads((out / "c.json").read_text())["cases"]},
-            (out / "c.html").read_text())
+    typed("casebook", DATA, *wanted, "--json", module_path / "c.json", "--html", module_path / "c.html")
+    return ({case["folder"]: case for case in json.loads((module_path / "c.json").read_text())["cases"]},
+            (module_path / "c.html").read_text())
 
 
 @needs_records

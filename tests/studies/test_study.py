@@ -86,7 +86,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
     with pytest.raises(KeyboardInterrupt):
         store.run_study(work, tmp_path / "part", SerialExecutor(), lambda block, count: None)
     (tmp_path / "part" / f"{work[1].name}.npz").write_bytes(b"half a file")
-    redone: list[Block] = []
+    redone = []
 
     def counted(block: Block) -> study.BlockResult:
         redone.append(block)

@@ -28,7 +28,7 @@ class Case(NamedTuple):
     joint: int = 2
 
 
-EFFECTS: dict[str, Case] = {
+EFFECTS = {
     "joint_stiffness": Case({"stiffness": 0.4, "preload": 0.1}, joint=1), "quadratic_drag": Case({"drag": 0.004}),
     "rotor_inertia": Case({"inertia": 0.004}), "torque_offset": Case({"offset": 0.05}),
     "imu_lever_arm": Case({"excess": 0.01}), "imu_misalignment": Case({"angle": 0.05}),

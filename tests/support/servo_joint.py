@@ -1,7 +1,6 @@
 """A joint behind a position loop: a pendulum of known parameters that follows a command."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import Dataset
 
@@ -14,7 +13,7 @@ def servo_run(name: str = "run", *, seed: int = 1, seconds: float = 12.0, rate_h
     rng = np.random.default_rng(seed)
     sub, n = round(1000.0 / rate_hz), int(seconds * rate_hz)
     t = np.arange(n * sub) / 1000.0
-    command: NDArray[np.float64] = sum(a * np.sin(2.0 * np.pi * f * t + p) for a, f, p in zip(
+    command = sum(a * np.sin(2.0 * np.pi * f * t + p) for a, f, p in zip(
         (0.6, 0.4, 0.2), (0.31, 0.83, 1.7), rng.uniform(0.0, 6.28, 3)))
     rows, q, v = np.empty((n, 2)), float(command[0]), 0.0
     for k, wanted in enumerate(command):

@@ -217,14 +217,14 @@ def test_a_flat_top_is_a_gap_on_every_grid() -> None:
 def test_a_counter_that_wraps_goes_on(modulus: float, period: float) -> None:
     time = modulus - 30.5 * period + period * np.arange(100)
     found = unwrapped_counter(np.asarray(time % modulus, np.float64))
-    assert found[1] == pytest.approx(modulus) and found[2].tolist() == [31]
-    assert_allclose(np.diff(found[0]), period, rtol=1e-5)
+    assert found.modulus == pytest.approx(modulus) and found.rows.tolist() == [31]
+    assert_allclose(np.diff(found.time), period, rtol=1e-5)
 
 
 def test_a_counter_in_its_own_unit_wraps_by_its_bits() -> None:
     ticks = (2.0**32 - 1e4 + 1000.0 * np.arange(50)) % 2.0**32
     found = unwrapped_counter(np.asarray(ticks, np.float64), 1e-6)
-    assert found[1] == 2.0**32
+    assert found.modulus == 2.0**32
 
 
 @pytest.mark.parametrize("time", [np.arange(50.0), np.append(np.arange(30.0), np.arange(10.0, 30.0)),

@@ -59,7 +59,7 @@ def test_a_true_leg_is_believed(torque, knee) -> None:
 
 
 def test_losses_doubles_and_late_frames_are_believed() -> None:
-    kept: list[Telemetry] = []
+    kept = []
 
     def bad_wire(t: float, frame: Telemetry) -> Telemetry | None:
         kept.append(frame)
@@ -85,7 +85,7 @@ LIES = [
 
 @pytest.mark.parametrize("check, lie, within_s", LIES)
 def test_impossible_readings_are_flagged_in_time(check: str, lie, within_s: float) -> None:
-    then: list[Telemetry] = []
+    then = []
 
     def told(t: float, frame: Telemetry) -> Telemetry:
         if t < STRUCK_S:

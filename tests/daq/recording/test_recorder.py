@@ -30,7 +30,7 @@ def b(tmp_path: Path) -> RigBench:
 
 
 def test_a_plan_is_commanded_and_recorded_whole(b: RigBench) -> None:
-    seen: list[tuple[float, float]] = []
+    seen = []
     report = b.record(sine(), on_progress=lambda now, total: seen.append((now, total)))
     raw = read_run(b.path)
     assert raw.complete

@@ -80,7 +80,7 @@ def check_truth(bench: Bench, path: Path) -> np.ndarray:
 
 def test_losses_on_the_wire_and_the_bus_are_holes_and_never_values(tmp_path: Path) -> None:
     bench = Bench()
-    seen: set[str] = set()
+    seen = set()
 
     def once(name: str, when: bool, act) -> None:
         if when and name not in seen:

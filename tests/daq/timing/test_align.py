@@ -161,8 +161,8 @@ accel_bias_mps2 = [0.1, 0.2, -0.1]
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MockRig, int]:
-    path = tmp_path_factory.mktemp("run") / "r.mcap"
+def recorded(module_path: Path) -> tuple[Path, MockRig, int]:
+    path = module_path / "r.mcap"
     clock = VirtualClock()
     start_ns = clock.now_ns()
     rig = MockRig(MovingPlant(swing), clock, ImuSettings(mount=MOUNT, gyro_bias_radps=(0.01, -0.02, 0.03),

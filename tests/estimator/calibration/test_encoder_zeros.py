@@ -81,7 +81,7 @@ def test_zeros_that_differ_are_noticed_and_others_are_not(runs: list[Dataset], p
     for mechanism, options, joints in ((leg2(), FitOptions(sensors="encoder"), (0, 1)),
                                        (leg2(lever_arm=LEG.lever), FitOptions(sensors="imu"), (1,))):
         found = find_differing(runs, mechanism, options)
-        assert found.joints == joints
+        assert found is not None and found.joints == joints
         assert found.spread == pytest.approx(np.std(SHIFTS[:, list(joints)], axis=0, ddof=1), rel=0.15)
         assert f"encoder_zero = [{', '.join(str(j + 1) for j in joints)}]" in differing_text(found)
         assert find_differing(plain, mechanism, options) is None

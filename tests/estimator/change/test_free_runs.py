@@ -45,7 +45,7 @@ def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
 def test_no_change_says_how_much_more_free_runs_err() -> None:
     """Three runs against three: an error four times as large need not be significant."""
     rise = larger_error(LogLevels(3, {"q2_rad": (np.log(4.0), 0.6)}), LogLevels(3, {"q2_rad": (0.0, 0.6)}))
-    assert rise.p_value > 0.01
+    assert rise is not None and rise.p_value > 0.01
     found = with_errors(Change("no_change", AGAINST.same), lambda: rise, AGAINST)
     assert found.verdict == "no_change" and found.free_runs == rise
     assert "Free runs over 1 s err 4 times" in change_text(ChangeDocument.of(found))

@@ -34,9 +34,9 @@ def test_a_length_is_as_uncertain_as_the_parameters_whose_ratio_it_is() -> None:
 
 def test_other_mechanisms_have_bodies_too_but_not_a_drive_in_volts() -> None:
     basis = body_basis(joint1(), 0, {})
-    assert basis[:2] == pytest.approx(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
+    assert basis is not None and basis[:2] == pytest.approx(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
     upright = body_basis(biped3(), 1, {0: 0.5})
-    assert upright[5:7, :2] == pytest.approx(9.8 * np.array([[0.5, 0.0], [0.0, 1.0]]))
+    assert upright is not None and upright[5:7, :2] == pytest.approx(9.8 * np.array([[0.5, 0.0], [0.0, 1.0]]))
     assert body_basis(leg2(), 1, {}) is None
     assert link_lengths(joint1(voltage=True), np.ones(4), np.eye(4)) == {}
 

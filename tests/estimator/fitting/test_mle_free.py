@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
-from estimator import FitOptions, fit
+from estimator import FitOptions, Method, fit
 from estimator.fitting.mle_free import FreeProblem, build_problem, difference_matrix, first_latents, minimise
 from estimator.model import leg2
 from estimator.signals import lowpass, split_signals
@@ -80,12 +80,11 @@ def test_minimum_agrees_with_a_general_solver() -> None:
     assert_allclose(found.beta, problem.best_beta(problem.regressor(check.x)), rtol=1e-3)
 
 
-@pytest.mark.parametrize("method, close", [("mle-free", 0.06), ("rls", 0.08)])
+@pytest.mark.parametrize("method, latent, close", [("mle", "free", 0.06), ("rls", "trajectory", 0.08)])
 @pytest.mark.parametrize("sensors", ["imu", "encoder"])
-def test_leg_is_found_as_well_as_differences_allow(sensors: str, method: str, close: float) -> None:
+def test_leg_is_found_as_well_as_differences_allow(sensors: str, method: Method, latent: str, close: float) -> None:
     leg = Leg()
     run = record(leg, np.random.default_rng(3))
-    by, _, latent = method.partition("-")
-    result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, latent=latent or "trajectory"), by)
-    assert result.method == method and result.converged
+    result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, latent=latent), method)
+    assert result.method == method + "-free" * (latent == "free") and result.converged
     np.testing.assert_allclose(result.beta[:5], leg.beta()[:5], rtol=close)

@@ -129,7 +129,7 @@ def test_two_collinear_columns(method: Method, tmp_path: Path, shell: Shell) -> 
 def test_a_given_parameter_frees_the_other(tmp_path: Path) -> None:
     status, document = run_fit(tmp_path, pure_sine(), JOINT_RIG, "--method", "wls", "--fix", "beta2=0.4")
     assert status == 0
-    assert document["undetermined"] == []
+    assert document is not None and document["undetermined"] == []
     assert document["parameters"][0]["value"] == pytest.approx(0.1, rel=0.1)
 
 

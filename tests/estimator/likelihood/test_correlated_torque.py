@@ -15,7 +15,7 @@ from estimator.signals import SignalSet
 COUNT = 30
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
 CORRELATION = np.array([[1.0, -0.7], [-0.7, 1.0]])
-NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
+NAMED = {kind.name: kind for kind in classes()}
 
 
 def posed(*effects: Effect) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:

@@ -100,7 +100,7 @@ def damped(of: dict[str, Wave]) -> dict[str, FloatArray]:
     return {**healthy(of), "tau2_nm": torque(of, TIME) - 0.2 * rate}
 
 
-FAULTS: dict[str, tuple[Spoil, float | None]] = {
+FAULTS = {
     "torque_delay": (late_torque, 0.02), "torque_saturation": (saturated, None), "encoder_scale": (scaled, 0.06),
     "encoder_eccentricity": (eccentric, None), "command_delay": (late_command, 0.03),
     "command_dead_band": (dead, 0.03), "missing_integral": (integrating, 1.5)}

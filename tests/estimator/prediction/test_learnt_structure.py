@@ -66,7 +66,7 @@ def test_tables_interpolate_and_keep_their_edges() -> None:
     assert outside_range([law], at)["angle of joint 2"] == pytest.approx(share) and share > 0.0
 
 
-LAWS: dict[str, Callable[[Points], FloatArray]] = {
+LAWS = {
     "angle": lambda at: 0.1 * np.exp(-(((at.q[1] - 0.2) / 0.15) ** 2)),
     "rate": lambda at: 0.1 * at.v[1] / (1.0 + at.v[1] ** 2),
     "angle and direction": lambda at: 0.06 * at.sign[1] * (1.0 + np.sin(4.0 * at.q[1])),

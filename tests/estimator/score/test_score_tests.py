@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq import Dataset
-from estimator import Effect, FitOptions
+from estimator import FitOptions
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.model import Model, nominal_model, refit, run_states
 from estimator.effects import battery, classes, library
@@ -15,13 +14,13 @@ from estimator.model import leg2
 from estimator.score import NO_TESTS, least_sigmas, score_alone, score_at
 from tests.support.mujoco_leg import Leg, record
 
-NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
+NAMED = {kind.name: kind for kind in classes()}
 
 
 def fitted(sensors: str) -> tuple[RunSplit, Model]:
     """Three runs of a leg, and what fits them."""
     leg = Leg()
-    runs: list[Dataset] = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
+    runs = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors))
     return split, nominal_model(split)
 

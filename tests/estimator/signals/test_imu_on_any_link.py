@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimator import FitError, FitOptions
-from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
+from estimator.model import ImuPlace, biped3, chain, leg2
 from estimator.signals import (
     accelerometer_at,
     accelerometer_slopes,
@@ -86,7 +86,7 @@ def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoder
 
 
 def test_joints_that_nothing_shows_are_named() -> None:
-    three: Mechanism = chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.1)), (0.3, 0.3))
+    three = chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.1)), (0.3, 0.3))
     with pytest.raises(FitError, match="angles of joints 1 and 2 apart: with 1 encoder and 2 IMUs 1 of 3 angles"):
         sight(three, (2,), True)
     with pytest.raises(FitError, match="angle of joint 1: with 2 encoders and 0 IMUs"):

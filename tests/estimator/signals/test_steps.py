@@ -72,9 +72,9 @@ def test_what_cannot_be_cut_is_said() -> None:
     data = noisy(3, True)
     still = {name: values[0] + 1e-4 * np.random.default_rng(k).normal(size=len(data))
              for k, (name, values) in enumerate(data.columns.items()) if name != "stance"}
-    for columns, said in ((data.columns | {"stance": data["stance"] + 1.0},
+    for columns, said in (({**data.columns, "stance": data["stance"] + 1.0},
                            "walk: column stance holds other numbers than 0, 1 and 2"),
-                          (data.columns | {"stance": np.ones(len(data))}, "never changes from one leg to the other"),
+                          ({**data.columns, "stance": np.ones(len(data))}, "never changes from one leg to the other"),
                           (still, "no touchdown stands out")):
         with pytest.raises(FitError, match=said):
             cut_steps(replace(data, columns=columns))

@@ -34,9 +34,9 @@ HEAVY = {"numpy", "scipy", "matplotlib", "jinja2", "mcap", "serial", "smbus2", "
 
 
 @pytest.fixture(scope="module")
-def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model_file(module_path: Path) -> Path:
     """A model with the plant's true parameters."""
-    path = tmp_path_factory.mktemp("model") / "model.json"
+    path = module_path / "model.json"
     save_model(model_with(), path)
     return path
 

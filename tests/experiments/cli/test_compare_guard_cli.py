@@ -10,11 +10,10 @@ from tests.support.shell import Shell, typed
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("guard")
-    (path / "rig.toml").write_text(ARM_RIG)
-    written([arm_run(0, seconds=8.0), arm_run(1, seconds=8.0)], path)
-    return path
+def folder(module_path: Path) -> Path:
+    (module_path / "rig.toml").write_text(ARM_RIG)
+    written([arm_run(0, seconds=8.0), arm_run(1, seconds=8.0)], module_path)
+    return module_path
 
 
 def command(folder: Path, *words: object) -> None:

@@ -47,9 +47,8 @@ def run_csv(path: Path, seed: int, drop: tuple[str, ...] = ()) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    folder = tmp_path_factory.mktemp("runs")
-    return [run_csv(folder / f"r{k}.csv", k) for k in (1, 2, 3, 4)]
+def runs(module_path: Path) -> list[Path]:
+    return [run_csv(module_path / f"r{k}.csv", k) for k in (1, 2, 3, 4)]
 
 
 @pytest.fixture

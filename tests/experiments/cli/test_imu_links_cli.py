@@ -31,22 +31,22 @@ Laid = tuple[Path, Tree]
 
 
 @pytest.fixture(scope="module")
-def laid(tmp_path_factory: pytest.TempPathFactory) -> Laid:
+def laid(module_path: Path) -> Laid:
     """Two runs of one leg with an IMU on the shank, then one on the thigh, and rig files of both uses."""
-    folder, rng = tmp_path_factory.mktemp("imu"), np.random.default_rng(7)
+    rng = np.random.default_rng(7)
     tree = random_tree(rng, (-1, 0), viscous=0.03, coulomb=0.04)
     for k in range(2):
         motion = move(tree, torques(tree, rng, 8.0, 100.0, 0.35, (1,)), 100.0, [Sensor(1, 0.1), Sensor(0, 0.2)])
         data = disturbed(motion, (1,), 100.0, rng)
         shank = {n: v for n, v in data.columns.items() if n[-4:] != "_rad" or n == "q2_rad"}
         write_csv(replace(data, columns={n: v for n, v in shank.items() if "2_x" not in n and "2_y" not in n
-                                         and n != "gyro2_radps"}), folder / f"shank{k}.csv")
-        write_csv(replace(data, columns={n: v for n, v in shank.items() if n != "q2_rad"}), folder / f"two{k}.csv")
+                                         and n != "gyro2_radps"}), module_path / f"shank{k}.csv")
+        write_csv(replace(data, columns={n: v for n, v in shank.items() if n != "q2_rad"}), module_path / f"two{k}.csv")
     length = float(tree.length[0])
     alone = ON_SHANK.replace("[[imu]]", "[imu]")
-    (folder / "shank.toml").write_text(RIG.format(length=length, encoders="", imus=alone))
-    (folder / "two.toml").write_text(RIG.format(length=length, encoders="encoders = []", imus=ON_SHANK + ON_THIGH))
-    return folder, tree
+    (module_path / "shank.toml").write_text(RIG.format(length=length, encoders="", imus=alone))
+    (module_path / "two.toml").write_text(RIG.format(length=length, encoders="encoders = []", imus=ON_SHANK + ON_THIGH))
+    return module_path, tree
 
 
 @pytest.mark.parametrize("use", ["shank", "two"])

@@ -116,7 +116,7 @@ def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, monkeypatch: pytest.Mo
         said = typed(told(said, "Next: "), 1)  # what nobody has measured yet
         assert "correct [calibration] imu_mount" in said
         offset = re.search(r"set \[calibration\] shunt_offset_a = (\S+)", said)
-        assert float(offset[1]) == pytest.approx(0.031, abs=0.005)
+        assert offset is not None and float(offset[1]) == pytest.approx(0.031, abs=0.005)
         rig = (tmp_path / "rig.toml").read_text()
         for key, value in (("shunt_offset_a", offset[1]), ("knee_zero_rad", "0.215"), ("watchdog_ms", "500"),
                            ("staleness_s", "1.0"), ("clock_bound_s", "0.02"),  # this machine serves the leg, too

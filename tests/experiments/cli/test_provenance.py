@@ -12,13 +12,12 @@ from tests.support.shell import Shell, document, typed
 
 
 @pytest.fixture(scope="module")
-def folder(demo_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(demo_run: Path, module_path: Path) -> Path:
     """A run of five seconds with everything that a fit writes of it, its rig taken from the run."""
-    folder = tmp_path_factory.mktemp("fit")
-    shutil.copy(demo_run, folder)
-    typed("fit", folder / "run.mcap", "--method wls --json", folder / "fit.json", "--html", folder / "fit.html",
-          "--model-out", folder / "model.json")
-    return folder
+    shutil.copy(demo_run, module_path)
+    typed("fit", module_path / "run.mcap", "--method wls --json", module_path / "fit.json", "--html",
+          module_path / "fit.html", "--model-out", module_path / "model.json")
+    return module_path
 
 
 @pytest.mark.parametrize("name", ["fit.json", "fit.html", "model.json"])

@@ -1,6 +1,7 @@
 """Columns in other units, put to every command that reads runs: refused in one line that says what to write."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,24 +23,23 @@ Bench = Callable[[dict[str, float]], list[object]]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def bench(module_path: Path) -> Bench:
     """Makes MODEL RUN --rig RIG of two runs whose columns are multiplied by these factors."""
-    folder = tmp_path_factory.mktemp("units")
     rng = np.random.default_rng(1)
     leg = random_leg(rng)
     runs = [record(leg, rng, seconds=8.0) for _ in range(2)]
     settings = {"model": "leg2", "actuated": [2], "lever_arm_m": leg.lever}
-    write_model(folder / "model.json", list(leg.beta()), settings)
-    rig = folder / "rig.toml"
+    write_model(module_path / "model.json", list(leg.beta()), settings)
+    rig = module_path / "rig.toml"
     rig.write_text(f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n')
 
     def spoil(by: dict[str, float]) -> list[object]:
-        paths = [folder / f"{k}{'-'.join(by)}.csv" for k in range(2)]
+        paths = [module_path / f"{k}{'-'.join(by)}.csv" for k in range(2)]
         for path, run in zip(paths, runs):
             columns = {name: by.get(name, 1.0) * values for name, values in run.columns.items()}
             if not path.exists():
                 write_csv(Dataset(path.name, run.rate_hz, run.time_s, columns), path)
-        return [folder / "model.json", *paths, "--rig", rig]
+        return [module_path / "model.json", *paths, "--rig", rig]
 
     return spoil
 

@@ -23,12 +23,11 @@ def put(folder: Path, seed: int, steps: int, stance: bool, loss: Law = no_loss) 
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("walks")
-    (made / "rig.toml").write_text(GEARED)
-    put(made, 2, 12, False)
-    put(made, 3, 12, True)
-    return made
+def folder(module_path: Path) -> Path:
+    (module_path / "rig.toml").write_text(GEARED)
+    put(module_path, 2, 12, False)
+    put(module_path, 3, 12, True)
+    return module_path
 
 
 @pytest.fixture(scope="module")

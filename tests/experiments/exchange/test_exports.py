@@ -37,8 +37,8 @@ def reference(demo_run: Path, rig: Rig) -> FitResult:
 
 
 @pytest.fixture(scope="module")
-def messages_file(demo_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("messages") / "messages.mcap"
+def messages_file(demo_run: Path, module_path: Path) -> Path:
+    out = module_path / "messages.mcap"
     typed("export", demo_run, "--to ros2 --out", out)
     return out
 

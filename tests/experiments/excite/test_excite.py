@@ -24,13 +24,12 @@ SECONDS = 6.0
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_path: Path) -> Path:
     """A rig, and a prior model that is off by some per cent."""
-    path = tmp_path_factory.mktemp("excite")
-    (path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
+    (module_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     beta = Leg().beta() * (1 + 0.05 * np.random.default_rng(3).standard_normal(9))
-    write_model(path / "model.json", list(beta), LEG)
-    return path
+    write_model(module_path / "model.json", list(beta), LEG)
+    return module_path
 
 
 @pytest.fixture(scope="module")

@@ -39,13 +39,12 @@ from tests.support.shell import Shell, document, typed
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_path: Path) -> Path:
     """Runs of a leg with a spring that nobody told of, and of one without."""
-    out = tmp_path_factory.mktemp("trust")
     for name, k in (("none", 0), ("none", 1), ("none", 2), ("joint_stiffness", 0)):
-        record_emulated(out / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(), random_multisine(30 + k, 4.0, 0.6), k,
-                        hidden=EFFECTS.get(name, NOTHING))
-    return out
+        record_emulated(module_path / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(),
+                        random_multisine(30 + k, 4.0, 0.6), k, hidden=EFFECTS.get(name, NOTHING))
+    return module_path
 
 
 @pytest.fixture(scope="module")

@@ -56,8 +56,8 @@ def test_sockets_and_pages_of_strangers_are_refused(kind: str, headers: dict[str
                                                     passes: bool) -> None:
     import asyncio
 
-    reached: list[str] = []
-    sent: list[dict] = []
+    reached = []
+    sent = []
 
     async def app(scope: dict, receive: object, send: object) -> None:
         reached.append(scope["type"])

@@ -113,7 +113,7 @@ def test_stop_ramps_and_an_emergency_does_not(tmp_path: Path) -> None:
 
 def test_no_command_follows_an_emergency_and_the_stop_waits_for_nobody(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    order: list[str] = []
+    order = []
     stop, command = bench.controller.stop, bench.controller.command
     bench.controller.stop = lambda: (order.append("stop"), stop())[1]
     bench.controller.command = lambda torque_nm: (order.append("command"), command(torque_nm))[1]
@@ -145,7 +145,7 @@ def test_a_watcher_that_has_gone_ends_the_run(tmp_path: Path) -> None:
 
 def test_a_watcher_that_hangs_costs_the_torque_at_once(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    stopped_ns: list[int] = []
+    stopped_ns = []
     stop = bench.controller.stop
     bench.controller.stop = lambda: (stopped_ns.append(time.monotonic_ns()), stop())[1]
 

@@ -23,8 +23,8 @@ PATIENCE_S = 20.0
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with started_demo_rig(tmp_path_factory.mktemp("session") / "rig") as path:
+def rig(module_path: Path) -> Iterator[Path]:
+    with started_demo_rig(module_path / "rig") as path:
         t = np.arange(0.0, 8.0, 0.01)
         write_plan(Plan(t, np.full(t.size, 0.2)), path.parent / "steady.csv")
         yield path

@@ -52,8 +52,8 @@ class FailingRig:
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FailingRig]:
-    rig = FailingRig(tmp_path_factory.mktemp("stop"))
+def rig(module_path: Path) -> Iterator[FailingRig]:
+    rig = FailingRig(module_path)
     yield rig
     rig.close()
 
@@ -99,7 +99,7 @@ def names(out: Path) -> None:
     (out / '"><img src=x onerror=alert(1)>.mcap').write_bytes(b"")
 
 
-REAL: dict[str, Callable[[Path], None]] = {
+REAL = {
     "dangling link": dangling, "circular links": circular, "pipes": pipes, "folders": folders, "names": names}
 
 

@@ -29,7 +29,7 @@ def runs_of(age_s: float, count: int = 2) -> tuple[Leg, list[Dataset]]:
 def test_the_nominal_age_is_between_those_of_both_orders_and_both_arrivals(settings: str, least_s: float, most_s: float
                                                                            ) -> None:
     ages = parse_rig(RIG + settings).imus[0].ages
-    assert ages[0] == ages[1]
+    assert ages is not None and ages[0] == ages[1]
     age = ages[0]
     assert age.mean_s == pytest.approx(0.5 * (least_s + most_s))
     assert age.mean_s - age.std_s <= least_s and most_s <= age.mean_s + age.std_s

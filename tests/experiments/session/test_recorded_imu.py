@@ -70,7 +70,7 @@ def test_the_rig_file_goes_before_the_recorder(runs: list[Dataset]) -> None:
     setup = prepare(runs[:1], stated).setup
     (age, _) = stated.imus[0].ages or (None, None)
     assert setup.datasets[0].imu_age_s == age.mean_s
-    assert setup.tolerances["sensor_time_skew"] == (age.std_s,)
+    assert setup.tolerances is not None and setup.tolerances["sensor_time_skew"] == (age.std_s,)
     with pytest.raises(InputError, match="cutoff_hz has 3 numbers"):
         parse_rig(TEXT.replace("[imu]", "[imu]\ncutoff_hz = [50.0, 50.0, 50.0]"))
 

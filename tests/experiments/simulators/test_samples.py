@@ -27,8 +27,8 @@ def uncertain(folder: Path, share: float = 0.02) -> tuple[object, np.ndarray]:
     root[-1] = 0.0  # the exponent is held
     covariance = root @ root.T
     rows = [[float(c) for c in row] for row in covariance]
-    open_rows: list[list[float | None]] = [[None if 5 in (i, j) else c for j, c in enumerate(row)]
-                                           for i, row in enumerate(rows)]
+    open_rows = [[None if 5 in (i, j) else c for j, c in enumerate(row)]
+                 for i, row in enumerate(rows)]
     return structs.replace(model, covariance=tuple(map(tuple, open_rows))), covariance
 
 

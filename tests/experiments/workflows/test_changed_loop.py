@@ -32,9 +32,9 @@ def before() -> list[Dataset]:
 
 
 @pytest.fixture(scope="module")
-def model(before: list[Dataset], tmp_path_factory: pytest.TempPathFactory) -> Model:
+def model(before: list[Dataset], module_path: Path) -> Model:
     """As it comes from its file."""
-    return written(before, RIG, tmp_path_factory.mktemp("model") / "model.json")
+    return written(before, RIG, module_path / "model.json")
 
 
 def written(runs: list[Dataset], rig: Rig, path: Path) -> Model:

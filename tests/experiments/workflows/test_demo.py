@@ -16,14 +16,13 @@ from tests.support.shell import Shell, document
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demo(module_path: Path) -> Path:
     """What a demo of four short runs leaves behind, and `said.txt` for what it printed."""
-    out = tmp_path_factory.mktemp("demo")
-    args = ["demo", "--out", str(out), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
+    args = ["demo", "--out", str(module_path), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
     with redirect_stdout(StringIO()) as said:
         assert cli.main(args) == 0, said.getvalue()
-    (out / "said.txt").write_text(said.getvalue())
-    return out
+    (module_path / "said.txt").write_text(said.getvalue())
+    return module_path
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     info = tmp_path / "scheduler.json"
-    running: list[subprocess.Popen] = []
+    running = []
 
     def launch(*arguments: str) -> None:
         running.append(subprocess.Popen([sys.executable, "-m", *arguments], env=environment, cwd=tmp_path,
@@ -111,7 +111,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
 def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[subprocess.Popen]]) -> None:
     address, processes = cluster
     pieces = list(range(40))
-    found: dict[int, int] = {}
+    found = {}
     for index, result in ClusterExecutor(address).run(slow_square, pieces):
         found[index] = result
         if len(found) == 12:

@@ -19,13 +19,12 @@ lever_arm_m = 0.2
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
-    folder = tmp_path_factory.mktemp("runs")
-    rig = folder / "rig.toml"
+def runs(module_path: Path) -> tuple[Path, list[Path]]:
+    rig = module_path / "rig.toml"
     rig.write_text(RIG)
     paths = []
     for k in range(3):
-        paths.append(folder / f"r{k}.csv")
+        paths.append(module_path / f"r{k}.csv")
         write_csv(record(Leg(), np.random.default_rng(k), seconds=6.0), paths[-1])
     return rig, paths
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def leg() -> Leg:
 
 
 def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2, seed: int = 78,
-          quadratic: float = 0.0) -> list[object]:
+          quadratic: float = 0.0) -> list[Any]:
     """Swings as CSV files, and the arguments that name them and their rig."""
     rng = np.random.default_rng(seed)
     (folder / "rig.toml").write_text(RIG.format(actuated))
