@@ -13,7 +13,7 @@ from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import fit_nominal
 from estimator.fitting.hold_choice import HoldChoice
-from estimator.model import GAUSS, HOLDS, Collocation, lag, leg2
+from estimator.model import GAUSS, HOLDS, Collocation, Mechanism, lag, leg2
 from estimator.model.collocation import spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.stick_slip_leg import move, sample
@@ -113,6 +113,12 @@ def test_slopes_are_those_of_scipy_s_spline() -> None:
     assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
 
 
+def timed(timing: Timing) -> tuple[Mechanism, list[Dataset]]:
+    rng = np.random.default_rng(11)
+    leg = random_leg(rng)
+    return leg2(lever_arm=leg.lever), [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
+
+
 @pytest.mark.parametrize("timing, hold", [
     (Timing(200), "zero"), (Timing(1000, 5), "zero/5"), (Timing(400, 2), "zero/2"),
     (Timing(200, between="average"), "past"),
@@ -120,21 +126,17 @@ def test_slopes_are_those_of_scipy_s_spline() -> None:
     (Timing(200, delay_s=0.007, between="ramp"), "smooth")])
 def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     """Half a sample of a delay is the difference between two holds: alone, the hold took half a tick of a delay."""
-    rng = np.random.default_rng(11)
-    leg = random_leg(rng)
-    runs = [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
-    assert fit_nominal(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
+    mechanism, runs = timed(timing)
+    assert fit_nominal(runs, mechanism, FitOptions(hold="auto"))[0] == hold
 
 
 @pytest.mark.parametrize("between, hold", [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
 def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str, hold: str) -> None:
     """Half a sample of the file is a quarter of one of the grid: a mean over the past was 2.5 ms of a delay."""
-    rng = np.random.default_rng(11)
-    leg = random_leg(rng)
-    runs = [record_timed(leg, rng, Timing(200, between=between), seconds=8.0, name=f"r{k}") for k in range(4)]
+    mechanism, runs = timed(Timing(200, between=between))
     coarse = [align_table(RawTable(run.name, run.time_s, run.columns), 100.0) for run in runs]
     assert coarse[0].averaged == pytest.approx(2.0) and runs[0].averaged == 1.0
-    assert fit_nominal(coarse, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[:1] == (hold,)
+    assert fit_nominal(coarse, mechanism, FitOptions(hold="auto"))[:1] == (hold,)
 
 
 @pytest.mark.parametrize("hold", HOLDS)

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
+from daq import Dataset
 from estimator import FitError, FitOptions, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
@@ -59,18 +60,20 @@ def test_covariance_follows_the_transposed_equation() -> None:
     assert_allclose(p[0], p[0].T, rtol=1e-12)
 
 
-def test_walker_with_a_nearly_exact_angle_is_found() -> None:
+def walkers(case: int, seed: int, count: int) -> list[Dataset]:
     step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[0], 11, run) for run in range(6)]
-    found = fit_each(records, motor_mechanism(), case_options(CASES[0]), "hekf")
+    return [noisy_record(step, CASES[case], seed, run) for run in range(count)]
+
+
+def test_walker_with_a_nearly_exact_angle_is_found() -> None:
+    found = fit_each(walkers(0, 11, 6), motor_mechanism(), case_options(CASES[0]), "hekf")
     beta = np.array([outcome.beta for outcome in found if not isinstance(outcome, FitError)])
     assert len(beta) == 6
     assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
 
 
 def test_records_together_are_records_alone() -> None:
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[1], 12, run) for run in range(3)]
+    records = walkers(1, 12, 3)
     options = case_options(CASES[1])
     together = fit_each(records, motor_mechanism(), options, "hekf")
     for data, outcome in zip(records, together):
@@ -88,9 +91,7 @@ def test_leg_with_imu_is_found() -> None:
 
 
 def test_failure_to_integrate_is_said() -> None:
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[2], 1, run) for run in range(20)]
-    found = fit_each(records, motor_mechanism(), case_options(CASES[2]), "hekf")
+    found = fit_each(walkers(2, 1, 20), motor_mechanism(), case_options(CASES[2]), "hekf")
     lost = [outcome for outcome in found if isinstance(outcome, FitError)]
     assert lost
     assert "failed to integrate" in str(lost[0])

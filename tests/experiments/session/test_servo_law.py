@@ -28,12 +28,13 @@ def leg() -> Leg:
     return replace(random_leg(np.random.default_rng(51)), viscous=(0.01, 0.02), coulomb=(0.01, 0.03))
 
 
-def fitted(folder: Path, runs: list[Dataset], servo: str, *options: str) -> dict[str, Any]:
-    """The document of a fit under this [servo]."""
+def fitted(folder: Path, runs: list[Dataset], servo: str, fixed: Leg | None = None) -> dict[str, Any]:
+    """The document of a fit under this [servo], with beta5 of a leg given."""
     (folder / "rig.toml").write_text(RIG + servo)
     paths = [folder / f"{run.name}.csv" for run in runs]
     for run, path in zip(runs, paths):
         write_csv(run, path)
+    options = [] if fixed is None else ["--fix", f"beta5={fixed.beta()[4]}"]
     return document("fit", *paths, "--rig", folder / "rig.toml", *options)
 
 
@@ -60,7 +61,7 @@ def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, le
 
 def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg) -> None:
     runs = followed(leg, 53, 2)
-    told = fitted(tmp_path, runs, "", "--fix", f"beta5={leg.beta()[4]}")
+    told = fitted(tmp_path, runs, "", leg)
     low, high = told["servo_gain"]["ci95"]
     assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
@@ -76,7 +77,7 @@ def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg
 @pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\ndamping = {DAMPING}\n", False), ("", True)])
 def test_a_delay_that_nobody_states_is_found_and_taken_off(tmp_path: Path, leg: Leg, servo: str, fix: bool) -> None:
     runs = followed(leg, 55, damping=DAMPING, faults=ServoFaults(delay_s=0.012))
-    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    told = fitted(tmp_path, runs, servo, leg if fix else None)
     (chosen,) = (c for c in told["chosen"] if c["key"] == "delay_s")
     assert chosen["table"] == "servo" and chosen["value"] == pytest.approx(0.0122, abs=5e-4)
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.01)
@@ -91,7 +92,7 @@ def loop_of(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp_path: Path, leg: Leg, servo: str,
                                                                             fix: bool) -> None:
     runs = followed(leg, 55, damping=DAMPING, limit=LIMIT, faults=ServoFaults(delay_s=0.008, integral=2.0))
-    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    told = fitted(tmp_path, runs, servo, leg if fix else None)
     found = loop_of(told)
     for key, truth, close in (("limit", LIMIT, 0.01), ("damping", DAMPING, 0.02), ("integral", 2.0, 0.01)):
         low, high = found[key]["ci95"]
