@@ -17,19 +17,18 @@ FILE = re.compile(r"^`(\w+/\S+\.py)`:\n\n```python\n(.*?)^```", re.MULTILINE | r
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def house(module_path: Path) -> Path:
     """The packages and what tests share, with the files of CONTRIBUTING.md."""
-    folder = tmp_path_factory.mktemp("house")
     files = FILE.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
     assert [Path(name).parent.as_posix() for name, _ in files] == [
         "estimator/effects", "estimator/model", "drivers", "drivers", "experiments/cli/commands"]
     for name in (*PACKAGES, *TESTS):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", folder)
+        shutil.copytree(ROOT / name, module_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", module_path)
     for name, code in files:
-        assert not (folder / name).exists(), name
-        (folder / name).write_text(code, encoding="utf-8")
-    return folder
+        assert not (module_path / name).exists(), name
+        (module_path / name).write_text(code, encoding="utf-8")
+    return module_path
 
 
 def run(house: Path, *command: str) -> str:

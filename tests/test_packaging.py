@@ -22,10 +22,9 @@ def run(*words: object, cwd: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", out, ROOT, cwd=out)
-    (found,) = out.glob("legid-*.whl")
+def wheel(module_path: Path) -> Path:
+    run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", module_path, ROOT, cwd=module_path)
+    (found,) = module_path.glob("legid-*.whl")
     return found
 
 

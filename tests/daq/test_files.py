@@ -86,7 +86,7 @@ def test_a_folder_and_a_place_that_is_none_are_named(tmp_path: Path) -> None:
         write_file(tmp_path / "no" / "where.json", OURS)
 
 
-@pytest.mark.parametrize(("command", "status"), [
+@pytest.mark.parametrize("command, status", [
     ("calibrate shunt still.mcap --rig rig.toml", 2), ("init new.toml --defaults", 2),
     ("recover still.mcap", 2), ("record --emulate --rig rig.toml --plan plan.csv --out new.mcap", 1),
     ("export still.mcap --out still.csv", 2),

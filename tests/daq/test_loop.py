@@ -1,7 +1,5 @@
 """`Loop` against the law written out by hand, and `[servo]` tables as loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -46,7 +44,7 @@ def test_a_delay_and_a_gain_with_tolerances_are_in_the_budget() -> None:
     assert parse_rig(table + "[tolerance]\nnone = true\n").tolerances == {"none": ()}
 
 
-@pytest.mark.parametrize(("servo", "what"), [
+@pytest.mark.parametrize("servo, what", [
     ("integral = 0.1\n", "says nothing without servo.gain"),
     ("gain = 1.0\nresistance_ohm = 3.0\n", "one of resistance_ohm"),
     ("gain = 1.0\nrate_hz = 0.0\n", "rate_hz"),

@@ -23,11 +23,11 @@ SWAYS = re.compile(r"(?m)^(assumed: (torque acts|friction smoothing)|Wide interv
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[Block, str]]]:
+def told(module_path: Path) -> tuple[Path, list[tuple[Block, str]]]:
     """The directory that the tutorial leaves behind, and each block with what it printed."""
     if shutil.which("bash") is None:
         pytest.skip("no bash")
-    folder = tmp_path_factory.mktemp("tutorial") / "my-leg"
+    folder = module_path / "my-leg"
     folder.mkdir()
     some = blocks(TEXT)[1:]
     return folder, list(zip(some, run_blocks(some, folder)))

@@ -54,7 +54,7 @@ def test_a_reading_is_stamped_around_its_transfer() -> None:
     assert reading.t_after_ns - reading.t_before_ns == pytest.approx(5 * 9 / 400e3 * 1e9, abs=10)  # 5 bytes at 400 kHz
 
 
-@pytest.mark.parametrize(("status", "line"), [
+@pytest.mark.parametrize("status, line", [
     (0, "no magnet"), (ML, "no magnet"), (MD | ML | MH, "cannot be true")])
 def test_a_magnet_that_is_not_there_is_refused_with_its_remedy(status: int, line: str) -> None:
     bench = Bench()
@@ -63,7 +63,7 @@ def test_a_magnet_that_is_not_there_is_refused_with_its_remedy(status: int, line
         bench.driver.open()
 
 
-@pytest.mark.parametrize(("status", "valid"), [(MD, True), (MD | ML, True), (MD | MH, True), (0, False), (0xFF, False)])
+@pytest.mark.parametrize("status, valid", [(MD, True), (MD | ML, True), (MD | MH, True), (0, False), (0xFF, False)])
 def test_a_reading_is_valid_where_there_is_a_magnet(status: int, valid: bool) -> None:
     bench = Bench()
     bench.driver.open()

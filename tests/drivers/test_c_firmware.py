@@ -37,6 +37,7 @@ from tests.support.c_firmware import (
     run_core,
     run_script,
 )
+from tests.support.wire_by_hand import cobs_by_hand, crc_ccitt_false
 
 LOST = -(2**31)
 UNKNOWN = bytes.fromhex("04 09 D9 70 00")
@@ -89,7 +90,7 @@ def test_a_scripted_session_byte_for_byte() -> None:
     assert end[1:] == (int(State.FAULT), 0, (0, 0, 0), 0)
 
 
-@pytest.mark.parametrize(("name", "value", "good", "fault", "shown"), [
+@pytest.mark.parametrize("name, value, good, fault, shown", [
     ("bus_mv", 12_000, 24_000, Fault.UNDERVOLTAGE, 12.0), ("bus_mv", 31_000, 24_000, Fault.OVERVOLTAGE, 31.0),
     ("motor_cdegc", 9_500, 2_500, Fault.OVERTEMPERATURE, 95.0), ("knee", LOST, 0, Fault.KNEE_ENCODER, None),
     ("knee_hall", LOST, 0, Fault.KNEE_HALL, None), ("pivot_hall", LOST, 0, Fault(0), None),
@@ -203,7 +204,7 @@ def test_the_hardware_watchdog_is_restarted_only_while_everything_runs() -> None
     assert run_script(["90000 end"])[2][3] > 170
 
 
-@pytest.mark.parametrize(("what", "refusal"), [
+@pytest.mark.parametrize("what, refusal", [
     ("none 0", 0), ("telemetry_hz 0", 3), ("telemetry_hz 300", 3), ("telemetry_hz 1001", 3), ("gear_ratio 0", 4),
     ("torque_limit 0", 5), ("torque_limit -5", 5), ("torque_limit 134217728", 5), ("watchdog_ms 4", 6),
     ("watchdog_ms 1001", 6), ("current_limit 0", 7), ("current_limit -2147483648", 7), ("temperature_limit 0", 8),
@@ -335,14 +336,8 @@ def split(sent: bytes) -> list[CanFrame]:
 
 
 def test_the_most_negative_torque_is_beyond_the_limit() -> None:
-    frame = bytearray(b"\x01\x00\x00\x00\x00\x00\x80")
-    crc = 0xFFFF
-    for byte in frame:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021) & 0xFFFF if crc & 0x8000 else crc << 1
-    data = bytes(frame) + crc.to_bytes(2, "little")
-    stuffed = b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0")) + b"\0"
+    frame = b"\x01\x00\x00\x00\x00\x00\x80"
+    stuffed = cobs_by_hand(frame + crc_ccitt_false(frame).to_bytes(2, "little"))
     end = compare([rx(0, Arm(100)), Event(500, "rx", stuffed.hex())], 4_000)
     (report,) = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
     assert report.fault == Fault.COMMAND_LIMIT

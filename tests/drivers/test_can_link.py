@@ -27,11 +27,15 @@ pytestmark = REAL_CLOCK
 channels = (f"legid-{os.getpid()}-{n}" for n in itertools.count())
 
 
-def test_on_virtual_time_nothing_is_lost() -> None:
+def on_virtual_time() -> tuple[VirtualClock, MockRig, LegController]:
     clock = VirtualClock()
     rig = MockRig(StillPlant(), clock, codec=CanCodec)
     link = EmulatorLink(rig.firmware, clock, delay_s=60e-6, jitter_s=30e-6, nothing=())
-    controller = LegController(link, clock.now_ns, CanCodec())
+    return clock, rig, LegController(link, clock.now_ns, CanCodec())
+
+
+def test_on_virtual_time_nothing_is_lost() -> None:
+    clock, rig, controller = on_virtual_time()
     hello = controller.open()
     assert hello.boot_id == rig.firmware.boot_id
     controller.arm(50)
@@ -53,9 +57,7 @@ def test_on_virtual_time_nothing_is_lost() -> None:
 
 
 def test_a_reboot_is_noticed_by_the_heartbeat_though_its_hello_was_lost() -> None:
-    clock = VirtualClock()
-    rig = MockRig(StillPlant(), clock, codec=CanCodec)
-    controller = LegController(EmulatorLink(rig.firmware, clock, nothing=()), clock.now_ns, CanCodec())
+    clock, rig, controller = on_virtual_time()
     controller.open()
     rig.firmware.reboot()
     rig.firmware._outbox.clear()  # what it said at boot did not get through
@@ -161,7 +163,7 @@ def test_bus_off_is_named_after_what_came_before_it(monkeypatch: pytest.MonkeyPa
             link.read()
 
 
-@pytest.mark.parametrize(("number", "said"), [(100, "ip link set can0 up"), (19, "is gone"), (6, "is gone"),
+@pytest.mark.parametrize("number, said", [(100, "ip link set can0 up"), (19, "is gone"), (6, "is gone"),
                                               (105, "takes no more frames"), (5, "fails")])
 def test_errors_of_the_bus_are_said_in_words(monkeypatch: pytest.MonkeyPatch, number: int, said: str) -> None:
     error = can.CanOperationError("broken", error_code=number)

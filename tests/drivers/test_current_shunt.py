@@ -30,7 +30,7 @@ class Bench:
         return reading.raw * self.driver.amperes_per_count, reading.flags
 
 
-@pytest.mark.parametrize(("kind", "words"), [
+@pytest.mark.parametrize("kind, words", [
     # 332 us, 4 averages: 1.328 ms; VSHCT = 010, AVG = 001, MODE = 101 and 540 us, 4 averages: VSHCT = 100, MODE = 1010
     ("ina226", {0x00: 0b0100_001_100_010_101}), ("ina228", {0x00: 0, 0x01: 0b1010_101_100_101_001, 0x0B: 0x8000})])
 def test_what_is_written_is_the_data_sheets(kind: str, words: dict[int, int]) -> None:
@@ -60,7 +60,7 @@ def test_current_of_both_signs_is_read_to_a_count(kind: str, amperes: float) -> 
     assert found == pytest.approx(amperes, abs=0.51 * CHIPS[kind].volts_per_count / 0.01 + 1e-9) and not flags
 
 
-@pytest.mark.parametrize(("kind", "range_a"), [("ina226", 8.19), ("ina228", 16.38)])
+@pytest.mark.parametrize("kind, range_a", [("ina226", 8.19), ("ina228", 16.38)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_current_beyond_the_range_is_marked(kind: str, range_a: float, sign: int) -> None:
     bench = Bench(kind)
@@ -127,7 +127,7 @@ def test_silence_and_lost_settings_are_said_with_a_remedy(kind: str) -> None:
         bench.driver.read()
 
 
-@pytest.mark.parametrize(("wired", "said"), [("ina226", "ina228"), ("ina228", "ina226")])
+@pytest.mark.parametrize("wired, said", [("ina226", "ina228"), ("ina228", "ina226")])
 def test_the_other_chip_is_refused(wired: str, said: str) -> None:
     clock = VirtualClock()
     driver = CurrentShunt(MockShunt(clock, kind=wired), said, 0.01, 200.0, now_ns=clock.now_ns, sleep=clock.sleep)

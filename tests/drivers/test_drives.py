@@ -1,7 +1,5 @@
 """What holds for every drive: stopped when it should be, its units, its watchdog, its faults, its time."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -13,7 +11,7 @@ from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
 from drivers.protocol import Fault
 from tests.support.drive_bench import CONSTANT, DriveBench, driven, opened, states, telemetry
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 NEVER_ON = ["feetech"]
 """Drives that legid reads and does not arm."""
@@ -140,15 +138,7 @@ def test_a_watchdog_out_of_range_is_refused(kind: str) -> None:
 
 def test_a_sample_was_taken_between_request_and_answer(any_kind: str) -> None:
     """The knee moves in a known way, so that each angle tells when it was read."""
-
-    class Moving:
-        t = 0.0
-
-        def step(self, dt_s: float, torque_nm: float) -> StillState:
-            self.t += dt_s
-            return StillState(q2=self.t, q2d=1.0)
-
-    bench = opened(any_kind, Moving())
+    bench = opened(any_kind, MovingPlant(lambda t: StillState(q2=t, q2d=1.0)))
     began = bench.clock.now_ns()
     received = [one for one in bench.run(0.5) if telemetry([one])]
     assert len(received) > 0.45 * bench.wiring.rate_hz
@@ -214,7 +204,7 @@ def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
     bench.drive.close()
 
 
-@pytest.mark.parametrize(("break_it", "fault"), [
+@pytest.mark.parametrize("break_it, fault", [
     (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER),
     (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE),
     (lambda far: setattr(far, "bus_v", 50.0), Fault.OVERVOLTAGE),

@@ -19,7 +19,7 @@ from drivers.dynamixel_drive import DynamixelDrive, find_nodes
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
-from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
+from tests.support.drive_bench import CONSTANT, DriveBench, fed_in_pieces, models_heard, opened, telemetry
 from tests.support.recordings import RIG, sine
 from tests.support.still_plant import StillPlant, StillState
 
@@ -36,7 +36,7 @@ PRINTED = [
 ]
 
 
-@pytest.mark.parametrize(("what", "made", "printed"), PRINTED, ids=[what for what, _, _ in PRINTED])
+@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
 def test_packets_are_those_that_the_e_manual_prints(what: str, made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = dxl.Decoder().feed(made)
@@ -52,14 +52,7 @@ def test_what_looks_like_a_header_is_stuffed_and_comes_back() -> None:
 
 
 def test_any_cut_of_the_stream_gives_the_same_packets() -> None:
-    rng = np.random.default_rng(1)
-    sent = [dxl.status(int(rng.integers(253)), 0, rng.bytes(int(rng.integers(60)))) for _ in range(300)]
-    stream, decoder, found = b"".join(sent), dxl.Decoder(), []
-    while stream:
-        n = int(rng.integers(1, 40))
-        found += decoder.feed(stream[:n])
-        stream = stream[n:]
-    assert len(found) == 300 and decoder.bad == 0
+    fed_in_pieces(dxl.status, dxl.Decoder())
 
 
 def test_broken_packets_are_counted_and_nothing_false_comes_through() -> None:
@@ -178,16 +171,13 @@ def test_a_sync_read_has_both_answer_in_turn() -> None:
     bench = DriveBench("dynamixel")
     bench.far.others[7] = new_table(7, 1200)
     bench.link.write(dxl.packet(dxl.BROADCAST, dxl.Instruction.SYNC_READ, bytes([Address.MODEL_NUMBER, 0, 2, 0, 7, 1])))
-    decoder, found = dxl.Decoder(), []
-    for _ in range(5):
-        found += decoder.feed(bench.link.read())
-    assert [(one.ident, int.from_bytes(one.params, "little")) for one in found] == [(7, 1200), (1, 1040)]
+    assert models_heard(bench, dxl.Decoder()) == [(7, 1200), (1, 1040)]
 
 
 # -- refusals ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("at", "data", "line"), [
+@pytest.mark.parametrize("at, data, line", [
     (Address.MODEL_NUMBER, struct.pack("<H", 1060), "model number 1060 is none that this program knows"),
     (Address.FIRMWARE_VERSION, b"\x25", "firmware 37 has no Bus Watchdog.*DYNAMIXEL Wizard"),
     (Address.STATUS_RETURN_LEVEL, b"\0", "answers a ping and no read")])

@@ -25,8 +25,8 @@ def numbered(count: int) -> list[Telemetry]:
             for k in range(count)]
 
 
-def wild(seed: int, share: float = 0.3) -> FaultyWire:
-    return FaultyWire(WireFaults(**{kind: share / len(KINDS) for kind in KINDS}), np.random.default_rng(seed))
+def wild(seed: int) -> FaultyWire:
+    return FaultyWire(WireFaults(**{kind: 0.3 / len(KINDS) for kind in KINDS}), np.random.default_rng(seed))
 
 
 @settings(max_examples=60, deadline=None)

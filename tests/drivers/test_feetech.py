@@ -13,8 +13,8 @@ from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.protocol import Fault
-from tests.support.drive_bench import DriveBench, opened, telemetry
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.drive_bench import DriveBench, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
            ("its answer", sts.packet(1, 0), "FF FF 01 02 00 FC"),
@@ -24,7 +24,7 @@ PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
 """As Feetech's "SCS Communication Protocol Manual" prints them."""
 
 
-@pytest.mark.parametrize(("what", "made", "printed"), PRINTED, ids=[what for what, _, _ in PRINTED])
+@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
 def test_packets_are_those_that_the_manual_prints(what: str, made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = sts.Decoder().feed(made)
@@ -41,14 +41,8 @@ def test_a_sign_is_a_bit_above_a_magnitude() -> None:
 
 
 def test_any_cut_of_the_stream_gives_the_same_packets_and_damage_is_counted() -> None:
-    rng = np.random.default_rng(1)
-    sent = [sts.packet(int(rng.integers(253)), 0, rng.bytes(int(rng.integers(60)))) for _ in range(300)]
-    stream, decoder, found = b"".join(sent), sts.Decoder(), []
-    while stream:
-        n = int(rng.integers(1, 40))
-        found += decoder.feed(stream[:n])
-        stream = stream[n:]
-    assert len(found) == 300 and decoder.bad == 0
+    decoder = sts.Decoder()
+    sent = fed_in_pieces(sts.packet, decoder)
     broken = bytearray(sent[7])
     broken[-1] ^= 1
     assert decoder.feed(bytes(broken) + sent[8])[-1] == sts.Decoder().feed(sent[8])[0]
@@ -56,7 +50,7 @@ def test_any_cut_of_the_stream_gives_the_same_packets_and_damage_is_counted() ->
 
 
 @pytest.mark.parametrize("turns", [1.0, -1.0])
-@pytest.mark.parametrize(("angle", "phase"), [(0.4, 0), (3.0, 0), (-7.5, sts.MULTI_TURN), (20.0, sts.MULTI_TURN)])
+@pytest.mark.parametrize("angle, phase", [(0.4, 0), (3.0, 0), (-7.5, sts.MULTI_TURN), (20.0, sts.MULTI_TURN)])
 def test_angles_currents_and_volts_are_the_joint_s(turns: float, angle: float, phase: int) -> None:
     bench = DriveBench("feetech", StillPlant(StillState(q2=angle)), turns=turns)
     bench.far.table[Address.PHASE] = phase
@@ -71,14 +65,7 @@ def test_angles_currents_and_volts_are_the_joint_s(turns: float, angle: float, p
 
 
 def test_a_position_within_a_turn_goes_on_over_its_end() -> None:
-    class Turning:
-        t = 0.0
-
-        def step(self, dt_s: float, torque_nm: float) -> StillState:
-            self.t += dt_s
-            return StillState(q2=8.0 * self.t, q2d=8.0)
-
-    bench = opened("feetech", Turning(), turns=1.0)
+    bench = opened("feetech", MovingPlant(lambda t: StillState(q2=8.0 * t, q2d=8.0)), turns=1.0)
     knee = np.array([t.knee_rad for t in telemetry(bench.run(3.0))])
     assert knee[-1] - knee[0] == pytest.approx(24.0, rel=0.02) and np.abs(np.diff(knee)).max() < 0.1
 
@@ -143,7 +130,7 @@ def test_no_byte_of_the_driver_turns_it_on() -> None:
     assert len(writes) >= 4 and set(writes) == {bytes([Address.TORQUE_ENABLE, 1, 1, 0])}
 
 
-@pytest.mark.parametrize(("break_it", "fault", "said"), [
+@pytest.mark.parametrize("break_it, fault, said", [
     (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER, "magnetic encoder"),
     (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE, "input voltage"),
     (lambda far: setattr(far, "bus_v", 25.4), Fault.OVERVOLTAGE, "input voltage"),
@@ -176,7 +163,4 @@ def test_several_on_a_line_are_found() -> None:
     bench.far.others[7] = new_table(7)
     assert find_nodes(bench.link, bench.wiring) == [1, 7]
     bench.link.write(sts.packet(sts.BROADCAST, sts.Instruction.SYNC_READ, bytes([Address.MODEL, 2, 7, 1])))
-    decoder, found = sts.Decoder(), []
-    for _ in range(5):
-        found += decoder.feed(bench.link.read())
-    assert [(one.ident, int.from_bytes(one.params, "little")) for one in found] == [(7, 777), (1, 777)]
+    assert models_heard(bench, sts.Decoder()) == [(7, 777), (1, 777)]

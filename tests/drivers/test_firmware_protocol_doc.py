@@ -1,7 +1,4 @@
-"""The document is the truth: its tables and hex examples against the codec, both ways.
-
-CRC and COBS are written out here a second time, bit by bit, so that the codec is not compared with itself.
-"""
+"""The document is the truth: its tables and hex examples against the codec, both ways."""
 
 import math
 import re
@@ -12,24 +9,12 @@ import pytest
 from drivers import protocol
 from drivers.protocol import Decoder, Fault, encode
 from tests.support.paths import ROOT
+from tests.support.wire_by_hand import cobs_by_hand, crc_ccitt_false
 
 TEXT = (ROOT / "firmware_protocol.md").read_text()
 FIELD = re.compile(r"^\s*- `([0-9A-F ]+)` - (\w+) = (0x[0-9A-F]+)(?: = (\S+))?")
 FRAME = re.compile(r"^- frame: `([0-9A-F ]+)`")
 SIZE = {"u8": "B", "u16": "H", "u32": "I", "i16": "h", "i32": "i"}
-
-
-def crc_ccitt_false(data: bytes) -> int:
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021) & 0xFFFF if crc & 0x8000 else crc << 1
-    return crc
-
-
-def cobs_by_hand(data: bytes) -> bytes:
-    return b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0")) + b"\0"
 
 
 def examples() -> dict[str, dict]:

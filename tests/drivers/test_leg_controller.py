@@ -239,7 +239,7 @@ def test_a_reboot_is_seen(driven: Bench) -> None:
     assert not driven.controller.armed
 
 
-@pytest.mark.parametrize(("port", "words"), [("missing", "no such port"), ("file", "cannot be opened as a serial")])
+@pytest.mark.parametrize("port, words", [("missing", "no such port"), ("file", "cannot be opened as a serial")])
 def test_ports_that_are_none_are_said_in_words(tmp_path, port: str, words: str) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DeviceAbsent, match=words) as error:

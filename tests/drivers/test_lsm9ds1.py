@@ -1,6 +1,7 @@
 """The driver: its bytes against the datasheet, and what it does when the bus or the chip misbehaves."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def bench() -> Bench:
     return bench
 
 
-@pytest.mark.parametrize(("rate_hz", "gyro_hz", "accel_hz"), [
+@pytest.mark.parametrize("rate_hz, gyro_hz, accel_hz", [
     (14.9, 5.0, 408.0), (59.5, 19.0, 408.0), (119.0, 38.0, 50.0), (238.0, 76.0, 105.0), (476.0, 100.0, 211.0),
     (952.0, 100.0, 408.0)])
 def test_low_passes_of_the_datasheet_where_its_registers_choose_none(rate_hz: float, gyro_hz: float, accel_hz: float
@@ -68,7 +69,7 @@ def test_configuration_bytes_of_the_datasheet() -> None:
     assert bench.writes[-1][0] == 0x2E
 
 
-@pytest.mark.parametrize(("gyro", "accel", "mdps", "mg"), [
+@pytest.mark.parametrize("gyro, accel, mdps, mg", [
     (245, 2, 8.75, 0.061), (500, 4, 17.5, 0.122), (2000, 8, 70.0, 0.244), (500, 16, 17.5, 0.732)])
 def test_scales_are_the_datasheets(gyro: int, accel: int, mdps: float, mg: float) -> None:
     scale = ImuConfig(gyro_range_dps=gyro, accel_range_g=accel).scale
@@ -166,28 +167,21 @@ def test_passing_bus_errors_cost_nothing(bench: Bench, errno: int) -> None:
     assert not any(b.gap_before for b in batches)
 
 
-def test_longer_trouble_restarts_the_fifo_and_is_a_gap(bench: Bench) -> None:
+@pytest.mark.parametrize("trouble, seconds, reason", [
+    (lambda chip: chip.fail(121, times=6), 0.2, "FIFO restarted"),
+    (lambda chip: chip.brown_out(), 2.0, "configured anew")])
+def test_longer_trouble_is_a_gap_after_which_the_chip_is_configured(bench: Bench, trouble: Any, seconds: float,
+                                                                     reason: str) -> None:
     bench.drain_for(0.05)
-    bench.chip.fail(121, times=6)
-    batches = bench.drain_for(0.2)
-    gaps = [b for b in batches if b.gap_before]
-    assert len(gaps) == 1
-    assert "FIFO restarted" in gaps[0].reason
-    assert len(gaps[0].raw)
-
-
-def test_a_browned_out_chip_is_noticed_and_configured_anew(bench: Bench) -> None:
-    bench.drain_for(0.05)
-    bench.chip.brown_out()
-    batches = bench.drain_for(2.0)
-    gaps = [b for b in batches if b.gap_before]
-    assert len(gaps) == 1
-    assert "configured anew" in gaps[0].reason
+    trouble(bench.chip)
+    batches = bench.drain_for(seconds)
+    (gap,) = [b for b in batches if b.gap_before]
+    assert reason in gap.reason
     assert bench.chip.ranges == (500, 4)
-    assert len(batches[-1].raw)
+    assert len(batches[-1].raw) and len(gap.raw)
 
 
-@pytest.mark.parametrize(("errno", "kind", "words"), [
+@pytest.mark.parametrize("errno, kind, words", [
     (19, DeviceAbsent, "no device"), (121, DeviceAbsent, "no acknowledge"), (6, DeviceAbsent, "no device"),
     (5, DeviceAbsent, "bus error"), (110, DeviceAbsent, "held low"), (11, DeviceAbsent, "arbitration lost"),
     (16, DeviceBusy, "kernel driver"), (107, DeviceAbsent, "adapter is gone"),

@@ -46,7 +46,7 @@ def test_configuration_bytes_of_the_datasheet() -> None:
     assert bench.byte(0x1E, 0x24) == 0x40  # block data update
 
 
-@pytest.mark.parametrize(("gauss", "mgauss"), [(4, 0.14), (8, 0.29), (12, 0.43), (16, 0.58)])
+@pytest.mark.parametrize("gauss, mgauss", [(4, 0.14), (8, 0.29), (12, 0.43), (16, 0.58)])
 def test_field_in_tesla_and_x_turned_to_the_other_sensors(gauss: int, mgauss: float) -> None:
     bench = Bench(MagConfig(20.0, gauss))
     bench.driver.open()
@@ -119,7 +119,7 @@ def test_a_sound_chip_passes_its_self_test() -> None:
     assert "magnetometer passed" in str(magnetic)
 
 
-@pytest.mark.parametrize(("mg", "dps", "broken"), [(69.0, 500.0, "accel"), (1501.0, 500.0, "accel"),
+@pytest.mark.parametrize("mg, dps, broken", [(69.0, 500.0, "accel"), (1501.0, 500.0, "accel"),
                                                    (400.0, 199.0, "gyro"), (400.0, 801.0, "gyro")])
 def test_limits_are_those_of_the_makers_example(mg: float, dps: float, broken: str) -> None:
     bench = Bench()

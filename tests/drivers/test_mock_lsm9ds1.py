@@ -8,7 +8,7 @@ from smbus2 import i2c_msg
 
 from drivers.mock import ImuSettings, MockRig, Plant, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 ADDRESS = 0x6B
 
@@ -42,6 +42,16 @@ def start_fifo(wire: Wire, mode: int = 0xC0) -> None:
     wire.write(0x10, 0x88)  # 238 Hz, 500 dps
     wire.write(0x23, 0x02)
     wire.write(0x2E, mode)
+
+
+def push(wire: Wire, count: int) -> None:
+    for k in range(count):
+        wire.chip.push(sample(k))
+
+
+def level(wire: Wire) -> int:
+    """FIFO_SRC without its threshold flag."""
+    return wire.read(0x2F)[0] & 0x7F
 
 
 def sample(k: int) -> list[int]:
@@ -86,8 +96,7 @@ def test_without_auto_increment_one_register_repeats(wire: Wire) -> None:
 
 def test_burst_jumps_1d_to_28_and_wraps_2d_to_18(wire: Wire) -> None:
     start_fifo(wire)
-    for k in range(3):
-        wire.chip.push(sample(k))
+    push(wire, 3)
     words = np.frombuffer(wire.read(0x18, 36), "<i2").reshape(3, 6)
     assert words.tolist() == [sample(0), sample(1), sample(2)]
     assert wire.read(0x2F)[0] & 0x3F == 0
@@ -95,13 +104,12 @@ def test_burst_jumps_1d_to_28_and_wraps_2d_to_18(wire: Wire) -> None:
 
 def test_fifo_source_counts_to_32_and_reports_overrun_only_after_an_overwrite(wire: Wire) -> None:
     start_fifo(wire)
-    for k in range(32):
-        wire.chip.push(sample(k))
-    assert wire.read(0x2F)[0] & 0x7F == 0x20
+    push(wire, 32)
+    assert level(wire) == 0x20
     wire.chip.push(sample(32))
-    assert wire.read(0x2F)[0] & 0x7F == 0x60
+    assert level(wire) == 0x60
     assert np.frombuffer(wire.read(0x18, 12), "<i2").tolist() == sample(1)  # the oldest went
-    assert wire.read(0x2F)[0] & 0x7F == 31
+    assert level(wire) == 31
 
 
 def test_threshold_flag(wire: Wire) -> None:
@@ -114,9 +122,8 @@ def test_threshold_flag(wire: Wire) -> None:
 
 def test_fifo_mode_stops_when_full_and_bypass_empties(wire: Wire) -> None:
     start_fifo(wire, 0x20)
-    for k in range(40):
-        wire.chip.push(sample(k))
-    assert wire.read(0x2F)[0] & 0x7F == 0x20
+    push(wire, 40)
+    assert level(wire) == 0x20
     assert np.frombuffer(wire.read(0x18, 12), "<i2").tolist() == sample(0)
     wire.write(0x2E, 0x00)
     assert wire.read(0x2F)[0] & 0x3F == 0
@@ -131,11 +138,6 @@ def test_time_on_the_wire(wire: Wire, clock: VirtualClock) -> None:
     before = clock.now_ns()
     wire.read(0x18, 384)  # 1 + 1 + 1 + 384 bytes of 9 bits at 400 kHz
     assert clock.now_ns() - before == pytest.approx(387 * 9 / 400e3 * 1e9, abs=1e3)
-
-
-def rig_samples(state: StillState, settings: ImuSettings, seconds: float, xl: int = 0x90,
-                gyro: int = 0x88) -> np.ndarray:
-    return samples_of(StillPlant(state), settings, seconds, xl, gyro)
 
 
 def samples_of(plant: Plant, settings: ImuSettings, seconds: float, xl: int = 0x90, gyro: int = 0x88) -> np.ndarray:
@@ -157,7 +159,7 @@ def samples_of(plant: Plant, settings: ImuSettings, seconds: float, xl: int = 0x
 def test_physics_geometry_scale_and_bias() -> None:
     state = StillState(q1=0.4, q1d=1.5, q1dd=-3.0)
     settings = ImuSettings(lever_arm_m=0.25, gravity_mps2=9.81, gyro_bias_radps=(0.0, 0.0, 0.1), rate_error=0.0)
-    mean = rig_samples(state, settings, 4.0).mean(axis=0)
+    mean = samples_of(StillPlant(state), settings, 4.0).mean(axis=0)
     gyro = 1.6 / math.radians(0.0175)
     accel = 0.122e-3 * 9.80665
     a_x = 0.25 * -3.0 + 9.81 * math.sin(0.4)
@@ -168,46 +170,41 @@ def test_physics_geometry_scale_and_bias() -> None:
 def test_mount_turns_contract_axes_into_the_chips() -> None:
     # contract x = chip y, contract y = chip -x, contract z = chip z
     mount = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    mean = rig_samples(StillState(q1=math.pi / 6), ImuSettings(mount=mount), 2.0).mean(axis=0)
+    mean = samples_of(StillPlant(StillState(q1=math.pi / 6)), ImuSettings(mount=mount), 2.0).mean(axis=0)
     lsb = 0.122e-3 * 9.80665
     assert mean[3:] * lsb == pytest.approx([9.81 * math.cos(math.pi / 6), 9.81 * 0.5, 0.0], abs=0.02)
 
 
 def test_noise_and_rate_error_are_what_was_asked_for() -> None:
-    raw = rig_samples(StillState(), ImuSettings(gyro_noise_radps=0.02, accel_noise_mps2=0.1, rate_error=0.05), 8.0)
+    raw = samples_of(StillPlant(), ImuSettings(gyro_noise_radps=0.02, accel_noise_mps2=0.1, rate_error=0.05), 8.0)
     assert len(raw) == pytest.approx(8.0 * 238 * 1.05, rel=0.01)
     std = raw.std(axis=0) * np.repeat([math.radians(0.0175), 0.122e-3 * 9.80665], 3)
     assert std == pytest.approx(np.repeat([0.02, 0.1], 3), rel=0.08)
 
 
 def test_clips_at_full_scale() -> None:
-    raw = rig_samples(StillState(q1d=30.0), ImuSettings(), 0.3, xl=0x80, gyro=0x80)  # 245 dps, 2 g
+    raw = samples_of(StillPlant(StillState(q1d=30.0)), ImuSettings(), 0.3, xl=0x80, gyro=0x80)  # 245 dps, 2 g
     assert set(raw[:, 2]) == {32767.0}
     assert set(raw[:, 4]) == {-32768.0}
 
 
 def test_same_seed_same_samples() -> None:
-    assert np.array_equal(rig_samples(StillState(), ImuSettings(), 0.3), rig_samples(StillState(), ImuSettings(), 0.3))
+    one, other = (samples_of(StillPlant(), ImuSettings(), 0.3) for _ in range(2))
+    assert np.array_equal(one, other)
 
 
-class Ramp:
-    """A leg whose speed and acceleration both grow evenly, from 0.3 s on."""
-
-    def __init__(self) -> None:
-        self.t_s = 0.0
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        self.t_s += dt_s
-        since = max(self.t_s - 0.3, 0.0)
-        return StillState(q1d=8.0 * since, q1dd=100.0 * since)
+def ramp(t: float) -> StillState:
+    """Speed and acceleration both grow evenly, from 0.3 s on."""
+    since = max(t - 0.3, 0.0)
+    return StillState(q1d=8.0 * since, q1dd=100.0 * since)
 
 
-@pytest.mark.parametrize(("gyro", "gyro_hz", "accel_hz"), [
+@pytest.mark.parametrize("gyro, gyro_hz, accel_hz", [
     (0x68, 38.0, 50.0), (0x88, 76.0, 105.0), (0xA8, 100.0, 211.0)])
 def test_readings_of_a_ramp_lag_by_the_time_constants_of_the_low_passes(gyro: int, gyro_hz: float, accel_hz: float
                                                                         ) -> None:
     quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0, lever_arm_m=0.2, gravity_mps2=0.0)
-    found = samples_of(Ramp(), quiet, 0.9, gyro=gyro)[-20:]
+    found = samples_of(MovingPlant(ramp), quiet, 0.9, gyro=gyro)[-20:]
     speed, across = np.radians(found[:, 2] * 17.5e-3), found[:, 3] * 0.122e-3 * 9.80665
     later_s = across / (0.2 * 100.0) - speed / 8.0  # by which the gyro's ramp is behind the accelerometer's
     want = 1.0 / (2.0 * np.pi * gyro_hz) - 1.0 / (2.0 * np.pi * accel_hz)

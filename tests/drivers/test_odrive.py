@@ -1,8 +1,7 @@
 """ODrive: what is its own, and the published DBC against our frames and our emulator."""
 
-from __future__ import annotations
-
 import math
+import struct
 from importlib.resources import files
 from typing import Any
 
@@ -37,7 +36,7 @@ def test_the_watchdog_is_proven_before_the_motor_turns() -> None:
     assert first - began > 100e6, "nothing may turn before the watchdog has shown itself"
 
 
-@pytest.mark.parametrize(("setting", "value", "how"), [
+@pytest.mark.parametrize("setting, value, how", [
     ("watchdog_on", False, "did not act in time"), ("watchdog_s", 1.0, "did not act in time"),
     ("watchdog_s", 0.03, "acted after"), ("polling_feeds", True, "did not act in time")])
 def test_a_watchdog_that_would_not_end_the_torque_is_refused(setting: str, value: Any, how: str) -> None:
@@ -86,11 +85,11 @@ def test_an_error_is_named_in_its_words_and_cleared_by_its_message() -> None:
     assert "DRV_FAULT" in bench.drive.words
     bench.drive.clear_faults()
     bench.run(0.05)
-    assert bench.drive.telemetry is not None and bench.drive.telemetry.faults, "the cause is still there"
+    assert bench.drive.telemetry.faults, "the cause is still there"
     bench.far.driver_ok = True
     bench.drive.clear_faults()
     bench.run(0.05)
-    assert bench.drive.telemetry is not None and not bench.drive.telemetry.faults
+    assert not bench.drive.telemetry.faults
 
 
 def test_an_axis_that_stops_beating_is_not_armed() -> None:
@@ -146,8 +145,6 @@ def test_every_message_has_the_published_identifier_and_length(dbc: Any) -> None
 
 
 def values(msg: Msg) -> tuple[float, ...]:
-    import struct
-
     return struct.unpack(LAYOUT[msg], bytes(struct.calcsize(LAYOUT[msg])))
 
 
@@ -190,6 +187,4 @@ def test_the_errors_have_the_published_bits(dbc: Any) -> None:
 
 def as_float(value: float) -> float:
     """Of a signal that the DBC has as a plain number of 32 bits, or as a float."""
-    import struct
-
     return value if isinstance(value, float) else struct.unpack("<f", struct.pack("<I", value))[0]

@@ -1,15 +1,12 @@
 """A part of the example board's fault matrix, and what the study calls wrong."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from evidence.port_faults import wrong
-from tests.support.paths import ROOT
 from tests.support.port_bench import Outcome, prompt
-from tests.support.processes import REAL_CLOCK
+from tests.support.processes import REAL_CLOCK, evidence
 from tests.support.qemu_board import CC, QEMU, needs
 
 SOUND = Outcome(98.0, "board", False, 0.4, 1, "stopped by SIGTERM", "whole", "FAULT, watchdog", True)
@@ -25,15 +22,12 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     with prompt():  # skips where the study could not run
         pass
     out = tmp_path / "faults.md"
-    done = subprocess.run([sys.executable, "-m", "evidence", "port-faults", "--only", *CHOSEN, "--moments",
-                           "driving", "--boards", "1", "--out", str(out)], cwd=ROOT, text=True, capture_output=True,
-                          check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    evidence("port-faults", "--only", *CHOSEN, "--moments", "driving", "--boards", 1, "--out", out)
     text = out.read_text()
     assert "\nNothing: " in text and "protocol version 2, this program version 1" in text
 
 
-@pytest.mark.parametrize(("name", "changes", "what"), [
+@pytest.mark.parametrize("name, changes, what", [
     ("line cut both ways", {}, ""),
     ("line cut both ways", {"zero_ms": 110.5}, "torque for 110 ms"),
     ("line cut both ways", {"zero_ms": 650.0, "driven_on": True}, "driven to the plan's end"),

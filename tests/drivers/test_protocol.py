@@ -16,7 +16,7 @@ TELEMETRY = Telemetry(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 HELLO = Hello(1, 7, 500, 50.0, 2.0, 1000)
 
 
-@pytest.mark.parametrize(("message", "payload"), [
+@pytest.mark.parametrize("message, payload", [
     (TorqueCommand(0xFFFF, -1e-6), "01 FF FF FF FF FF FF"),
     (replace(TELEMETRY, knee_rad=math.pi, bus_v=math.nan, motor_degc=math.nan, current_a=math.nan),
      "81 00 00 00 00 00 00 00 00 00"  # type, seq, tick, state, faults

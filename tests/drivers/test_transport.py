@@ -1,7 +1,5 @@
 """Which transport a port's name asks for."""
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType, SimpleNamespace
 

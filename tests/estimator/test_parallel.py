@@ -1,7 +1,5 @@
 """Work on several processes."""
 
-from __future__ import annotations
-
 import os
 
 import pytest
@@ -17,7 +15,7 @@ def test_results_come_in_order_from_other_processes() -> None:
     assert os.getpid() not in {pid for _, pid in found}
 
 
-@pytest.mark.parametrize(("count", "workers"), [(3, 1), (1, 4), (0, 2)])
+@pytest.mark.parametrize("count, workers", [(3, 1), (1, 4), (0, 2)])
 def test_one_worker_or_one_piece_needs_no_process(count: int, workers: int) -> None:
     assert parallel_map(lambda i: os.getpid(), count, workers) == [os.getpid()] * count
 

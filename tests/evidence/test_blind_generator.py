@@ -1,7 +1,5 @@
 """The blind bench's generator: its physics against MuJoCo and closed forms, its faults, its files, its score."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import cumulative_simpson
 
 from daq import load_rig
@@ -79,7 +78,7 @@ def test_plain_leg_and_imu_agree_with_mujoco() -> None:
                                                        still, still, 0.2)])
     truth = mujoco_rows(leg, tau, 80)
     assert np.abs(truth[:, 1]).max() > 0.8
-    np.testing.assert_allclose(seen, truth, atol=1e-6, rtol=0)
+    assert_allclose(seen, truth, atol=1e-6, rtol=0)
 
 
 def test_stiff_shaft_is_an_armature() -> None:
@@ -87,7 +86,7 @@ def test_stiff_shaft_is_an_armature() -> None:
     motion = integrate(leg, tau[:, None], step=2.5e-4,
                        extra={"shaft": 2e4, "shaft_damping": 5.0, "motor_inertia": 0.01})
     truth = mujoco_rows(leg, tau, 20, armature=0.01)
-    np.testing.assert_allclose(motion.q2[:, 0], truth[:, 1], atol=2e-3)
+    assert_allclose(motion.q2[:, 0], truth[:, 1], atol=2e-3)
     plain = mujoco_rows(leg, tau, 20)
     assert np.abs(plain[:, 1] - truth[:, 1]).max() > 0.05
 
@@ -149,10 +148,10 @@ def test_lanes_do_not_mix() -> None:
     together = integrate(Leg(), tau, extra={"spring2": np.array([0.0, 0.5, 0.0]), "shaft": np.array([0, 0, 80.0]),
                                             "motor_inertia": np.array([0, 0, 0.002])})
     alone = integrate(Leg(), tau[:, :1])
-    np.testing.assert_allclose(together.q2[:, 0], alone.q2[:, 0], atol=1e-13)
+    assert_allclose(together.q2[:, 0], alone.q2[:, 0], atol=1e-13)
     assert np.abs(together.q2[:, 1] - alone.q2[:, 0]).max() > 1e-3
     assert np.abs(together.encoder[:, 2] - together.q2[:, 2]).max() > 1e-3
-    np.testing.assert_array_equal(together.encoder[:, :2], together.q2[:, :2])
+    assert_array_equal(together.encoder[:, :2], together.q2[:, :2])
 
 
 def test_sensor_faults_have_the_contract_s_signs() -> None:
@@ -162,24 +161,24 @@ def test_sensor_faults_have_the_contract_s_signs() -> None:
     clean = read(motion, 0, tau[:, 0], {}, sensors)
     late = read(motion, 0, tau[:, 0], {"skew": 0.02}, sensors)
     # the IMU is late: what it shows now was true two samples ago
-    np.testing.assert_allclose(late["gyro_radps"][2:], clean["gyro_radps"][:-2], atol=1e-9)
-    np.testing.assert_array_equal(late["q2_rad"], clean["q2_rad"])
+    assert_allclose(late["gyro_radps"][2:], clean["gyro_radps"][:-2], atol=1e-9)
+    assert_array_equal(late["q2_rad"], clean["q2_rad"])
     biased = read(motion, 0, tau[:, 0], {"gyro_bias": 0.1, "gyro_scale": 0.05}, sensors)
-    np.testing.assert_allclose(biased["gyro_radps"], 1.05 * clean["gyro_radps"] + 0.1)
+    assert_allclose(biased["gyro_radps"], 1.05 * clean["gyro_radps"] + 0.1)
     turned = read(motion, 0, tau[:, 0], {"misalignment": 0.03}, sensors)
     norm = np.hypot(clean["accel_x_mps2"], clean["accel_y_mps2"])
-    np.testing.assert_allclose(np.hypot(turned["accel_x_mps2"], turned["accel_y_mps2"]), norm)
+    assert_allclose(np.hypot(turned["accel_x_mps2"], turned["accel_y_mps2"]), norm)
     moved = read(motion, 0, tau[:, 0], {"lever": 0.01}, sensors)
-    np.testing.assert_allclose(moved["accel_x_mps2"] - clean["accel_x_mps2"], 0.01 * motion.a1[:, 0])
+    assert_allclose(moved["accel_x_mps2"] - clean["accel_x_mps2"], 0.01 * motion.a1[:, 0])
     once = read(motion, 0, tau[:, 0], {"eccentricity": 0.02, "eccentricity_phase": 0.4}, sensors)
-    np.testing.assert_allclose(once["q2_rad"] - clean["q2_rad"], 0.02 * np.sin(motion.q2[:, 0] + 0.4), atol=2.1e-4)
+    assert_allclose(once["q2_rad"] - clean["q2_rad"], 0.02 * np.sin(motion.q2[:, 0] + 0.4), atol=2.1e-4)
 
 
 def test_measured_torque_is_late_by_the_delay() -> None:
     rig = draw_case(Case("single", ("torque_delay",), seed=3), strengths(), 0.03)
     grid = np.arange(600) / 100.0
     shown = rig.torques[0].at(grid, rig.scale)
-    np.testing.assert_allclose(shown[3:], bench._acting(rig, 0, shown, grid)[:-3], atol=1e-9)
+    assert_allclose(shown[3:], bench._acting(rig, 0, shown, grid)[:-3], atol=1e-9)
 
 
 def test_every_effect_of_the_contract_is_here_and_well_formed() -> None:
@@ -226,11 +225,10 @@ def test_excitation_is_odd_and_bounded() -> None:
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
-    root = tmp_path_factory.mktemp("blind")
+def cases(module_path: Path) -> tuple[Path, list[dict[str, Any]]]:
     chosen = [Case("none", seed=2), Case("single", ("torque_offset",), "large", 1),
               Case("single", ("sensor_time_skew",), seed=1), Case("outside", ("loose_payload",), seed=1)]
-    return root, bench.generate(chosen, root, samples=300, step=1e-3)
+    return module_path, bench.generate(chosen, module_path, samples=300, step=1e-3)
 
 
 def test_files_are_the_contract_s_and_hold_no_truth(cases: tuple[Path, list[dict[str, Any]]]) -> None:
@@ -258,7 +256,7 @@ def test_a_case_comes_again_from_its_seed(cases: tuple[Path, list[dict[str, Any]
     bench.generate([Case("single", ("torque_offset",), "large", 1)], tmp_path, samples=300, step=1e-3)
     again, before = (np.loadtxt(p / "single-torque_offset-large-1" / "r4.csv", delimiter=",", skiprows=1)
                      for p in (tmp_path, root))
-    np.testing.assert_allclose(again, before, atol=2e-3)
+    assert_allclose(again, before, atol=2e-3)
     other = draw_case(Case("single", ("torque_offset",), "large", 2), strengths())
     assert other.leg != draw_case(Case("single", ("torque_offset",), "large", 1), strengths()).leg
 
@@ -281,7 +279,7 @@ def _hidden(name: str, **more: Any) -> dict[str, Any]:
     return {"effect": name, "joint": 2, "also": [], **more}
 
 
-@pytest.mark.parametrize(("verdict", "causes", "exact", "inside", "wrong"), [
+@pytest.mark.parametrize("verdict, causes, exact, inside, wrong", [
     ("named", ["backlash"], True, True, False), ("partial", ["backlash"], True, True, False),
     ("one_of", ["backlash", "presliding_friction"], False, True, False),
     ("named", ["torque_delay"], False, False, True), ("named", ["backlash", "torque_delay"], False, True, True),

@@ -1,7 +1,5 @@
 """`make evidence`: the plan is a fair mixture, the page counts rightly, a study goes on where it stopped."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -67,7 +65,7 @@ def test_single_cases_are_chosen_by_a_part_of_their_name() -> None:
     assert len(choose(["servo"], [], [1])) == len(FAMILIES["servo"].hidden)
 
 
-@pytest.mark.parametrize(("family", "hidden", "kind", "effects"), [
+@pytest.mark.parametrize("family, hidden, kind, effects", [
     ("servo", "none", "none", ()), ("geared", "none_wandering", "none", ()), ("outside", "outside_worm", "outside", ()),
     ("geared", "gyro_bias", "single", ("gyro_bias",)), ("pairs", "gyro_scale+encoder_offset", "pair",
                                                         ("gyro_scale", "encoder_offset")),
@@ -192,7 +190,7 @@ def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path:
         ["all", "10", "0.83", "5/10", "4/7", "1/3"]]
 
 
-@pytest.mark.parametrize(("column", "hits", "count", "said"), [
+@pytest.mark.parametrize("column, hits, count, said", [
     (Column("x", lambda a: None, 0.05, at_most=True), 0, 100, "at most 5 %: met"),
     (Column("x", lambda a: None, 0.05, at_most=True), 0, 5, "at most 5 %: met, too few"),
     (Column("x", lambda a: None, 0.05, at_most=True), 50, 100, "at most 5 %: **missed**"),
@@ -240,7 +238,7 @@ def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkey
 
 
 def test_records_alone_have_a_page_of_their_own(tmp_path: Path) -> None:
-    told: list[tuple[str, str, list[str]]] = [
+    told = [
         ("untouched", "none", []), ("torque_delay", "named", ["torque_delay"]), ("encoder_scale", "none", [])]
     cases = [put(tmp_path, PlannedCase(RECORDS, f"a0.{fault}", 1), verdict, found, 1.2, size=1.0)
              for fault, verdict, found in told]

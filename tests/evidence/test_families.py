@@ -1,7 +1,5 @@
 """Families of plants of other makes: what is put into a leg's motion and its readings."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -57,7 +55,7 @@ def test_a_real_record_is_spoilt_in_one_column_and_nowhere_else(tmp_path: Path) 
     assert not json.loads((tmp_path / "a0.untouched-3.truth.json").read_text())["effects"]
 
 
-@pytest.mark.parametrize(("verdict", "before", "now", "found", "inside"), [
+@pytest.mark.parametrize("verdict, before, now, found, inside", [
     ("named", 0.0, (0.021, 0.018, 0.024), 1, "1/1"), ("named", 0.0, (0.026, 0.023, 0.029), 1, "0/1"),
     ("named", 0.005, (0.026, 0.023, 0.029), 1, "1/1"),  # some was there before
     ("unexplained", 0.0, (0.021, 0.018, 0.024), 0, "-"), ("none", 0.0, None, 0, "-")])

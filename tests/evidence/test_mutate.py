@@ -1,15 +1,13 @@
 """The study of broken files finds the faults that it is for."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from daq import InputError
 from evidence.mutate_worker import Kind, study
-from tests.support.paths import ROOT
+from tests.support.processes import evidence
 
 
 def read_wrongly(path: Path) -> None:
@@ -38,10 +36,7 @@ def test_an_exception_a_crash_and_too_much_memory_are_faults(tmp_path: Path) -> 
     assert "MemoryError" in faults[2].what
 
 
-
 @pytest.mark.slow
 def test_broken_files_are_read_or_refused_within_their_bounds() -> None:
-    done = subprocess.run([sys.executable, "-m", "evidence", "mutate", "--files", "60", "--chunk", "60"],
-                          cwd=ROOT, text=True, capture_output=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("| 60 |") == 17 and "1,020 files have 0 faults" in done.stdout
+    said = evidence("mutate", "--files", 60, "--chunk", 60)
+    assert said.count("| 60 |") == 17 and "1,020 files have 0 faults" in said

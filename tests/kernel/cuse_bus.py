@@ -100,7 +100,7 @@ class CuseBus:
 
     def _transfer(self, argument: int, given: bytes) -> bytes:
         """Struct, then messages, then their buffers: the kernel is asked again until all of it is here."""
-        areas: list[Area] = [(argument, 16)]
+        areas = [(argument, 16)]
         if len(given) < 16:
             return _fetch(areas, [])
         pointer, count = struct.unpack_from("<QI", given)

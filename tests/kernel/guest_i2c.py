@@ -74,7 +74,7 @@ def test_a_chip_bound_to_a_kernel_driver_is_reported_and_left_alone() -> None:
 
 def test_identity_configuration_and_samples_in_bursts_beyond_32_bytes(bench: Bench) -> None:
     bench.driver.open()
-    numbers: list[int] = []
+    numbers = []
     for pause_s in (0.001, 0.020, 0.026, 0.007, 0.015):
         bench.clock.sleep(pause_s)
         batch = bench.driver.drain()

@@ -23,10 +23,10 @@ EXAMPLE = ROOT / "docs" / "example.py"
 
 
 @pytest.fixture(scope="module")
-def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def example(module_path: Path) -> dict[str, Any]:
     """The example's names after it ran."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("example")))
+        patch.setattr(tempfile, "tempdir", str(module_path))
         return runpy.run_path(str(EXAMPLE))
 
 

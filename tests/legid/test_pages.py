@@ -12,22 +12,16 @@ import pytest
 
 import legid
 from experiments.cli import main
-from tests.support.mujoco_leg import Leg, record
+from tests.support.imported_files import degrees_log
 from tests.support.paths import FIXTURES
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
-LOG = "Zeit [s];Hip [deg];Knee [deg];Torque [Nm]"
-"""Names as another program writes them."""
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("python")
-    run = record(Leg(), np.random.default_rng(11), seconds=10.0)
-    table = np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"]])
-    np.savetxt(folder / "log.csv", table, delimiter=";", header=LOG, comments="")
-    (folder / "rig.toml").write_text(RIG)
-    return folder / "log.csv"
+def log(module_path: Path) -> Path:
+    (module_path / "rig.toml").write_text(RIG)
+    return degrees_log(module_path / "log.csv", 11, "Zeit")
 
 
 def typed(*words: object) -> str:
@@ -107,7 +101,7 @@ def test_exports_are_the_commands(log: Path, tmp_path: Path) -> None:
     assert (tmp_path / "healthy.mat").stat().st_size > 1000
 
 
-@pytest.mark.parametrize(("out", "to", "options", "told"), [
+@pytest.mark.parametrize("out, to, options, told", [
     ("run.urdf", None, {}, "urdf is no format of a run"), ("run.abc", None, {}, "no ending that tells a format"),
     ("run.csv", None, {"samples": 3}, "--samples: is for --to mujoco"), ("r.mcap", None, {}, "give the paths of run")])
 def test_an_export_that_cannot_be_is_refused(log: Path, tmp_path: Path, out: str, to: str | None,

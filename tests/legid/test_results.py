@@ -9,6 +9,7 @@ from html import unescape
 import numpy as np
 import pytest
 from msgspec import Struct
+from numpy.testing import assert_array_equal
 
 import legid
 from daq import parse_rig
@@ -47,9 +48,9 @@ def test_a_fit_as_table_and_page() -> None:
     plain, settings = synthetic_fit(), mechanism_settings(RIG)
     found = legid.FitResult.of(plain, settings)
     table = found.to_frame()
-    np.testing.assert_array_equal(table["value"], plain.beta)
-    np.testing.assert_array_equal(found.beta, plain.beta)
-    np.testing.assert_array_equal(table[["low", "high"]], plain.ci95())
+    assert_array_equal(table["value"], plain.beta)
+    assert_array_equal(found.beta, plain.beta)
+    assert_array_equal(table[["low", "high"]], plain.ci95())
     assert table.loc["beta1", "unit"] == "kg m^2"
     unsure = legid.FitResult.of(replace(plain, converged=False, undetermined=(
         Combination((("beta8", 1.0), ("beta9", -1.0))),)), settings)

@@ -19,17 +19,16 @@ SAME = 1e-9
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[legid.Dataset]:
+def runs(module_path: Path) -> list[legid.Dataset]:
     """Of a leg with a spring at its pivot, whose angle no encoder reads."""
-    folder = tmp_path_factory.mktemp("stiff")
-    rig = folder / "rig.toml"
+    rig = module_path / "rig.toml"
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
                    '[sampling]\nhold = "linear"\n[noise]\ngyro_radps = 0.005\n')
     for k in range(4):
         run = record(Leg(), np.random.default_rng(700 + k), seconds=10.0, name=f"r{k}.csv", spring=(STIFFNESS, 0.2))
         columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        write_csv(replace(run, columns=columns), folder / run.name)
-    return [legid.load(folder / f"r{k}.csv", rig) for k in range(4)]
+        write_csv(replace(run, columns=columns), module_path / run.name)
+    return [legid.load(module_path / f"r{k}.csv", rig) for k in range(4)]
 
 
 @pytest.fixture(scope="module")

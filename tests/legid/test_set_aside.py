@@ -22,7 +22,7 @@ def models_of(files: Sequence[Path], rig: Path) -> tuple[legid.Model, legid.Mode
         found.parameters[0].name: 1.1 * float(found.beta[0])}))
 
 
-VERBS: dict[str, Verb] = {
+VERBS = {
     "fit": lambda files, rig: legid.fit(legid.load(files, rig), method="wls"),
     "validate": lambda files, rig: legid.validate(models_of(files, rig)[0], legid.load(files, rig)),
     "compare": lambda files, rig: legid.compare(*models_of(files, rig), legid.load(files, rig)),

@@ -14,8 +14,8 @@ HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("model") / "model.json"
+def model(module_path: Path) -> Path:
+    path = module_path / "model.json"
     legid.save_model(legid.model(legid.fit(legid.load(HEALTHY, RIG), method="wls")), path)
     return path
 
@@ -34,7 +34,7 @@ def test_a_file_that_is_read_is_the_run_that_import_writes(tmp_path: Path, shell
 def test_a_plan_with_and_without_a_prior_model(model: Path, tmp_path: Path, shell: Shell) -> None:
     plain, designed = legid.excite(RIG, seconds=6.0), legid.excite(RIG, model, seconds=6.0, tries=1, steps=1)
     assert len(plain.to_frame()) == 600 and len(designed.to_frame()) == 9
-    for found, words in ((plain, []), (designed, ["--model", str(model), "--tries", "1", "--steps", "1"])):
+    for found, words in ((plain, []), (designed, ["--model", model, "--tries 1 --steps 1"])):
         assert len(found.plot().axes) == 1
         shown, written = tmp_path / "shell.csv", tmp_path / "python.csv"
         shell("excite --rig", RIG, "--seconds 6 --force --out", shown, *words)

@@ -1,17 +1,14 @@
 """What a user writes: the first script of the README runs as it stands, and types of results are known to mypy."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tests.support.mujoco_leg import Leg, record
+from tests.support.imported_files import degrees_log
 from tests.support.paths import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -46,10 +43,7 @@ WRONG = {"wrong: int = seen.trust": "incompatible type", "seen.no_such_key": "no
 def folder(tmp_path: Path) -> Path:
     """Two logs of one leg under another program's names, and its rig."""
     for seed, name in ((11, "log"), (12, "log2")):
-        run = record(Leg(), np.random.default_rng(seed), seconds=10.0)
-        table = np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"]])
-        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=";", header="Time [s];Hip [deg];Knee [deg];Torque [Nm]",
-                   comments="")
+        degrees_log(tmp_path / f"{name}.csv", seed)
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
     return tmp_path
 

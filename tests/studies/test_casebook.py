@@ -3,8 +3,6 @@
 Published figures are those of the data sets' own READMEs.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -18,13 +16,12 @@ from msgspec import structs
 from daq import InputError, load_rig
 from estimator import Diagnosis, Verdict
 from estimator.diagnosis import Cause
-from experiments.cli import main
 from studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
 from studies.casebook_page import study_text
 from tests.support.pages import allowed_script
 from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 _with_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 
@@ -54,8 +51,7 @@ def test_no_code_knows_a_data_set_by_name() -> None:
 
 
 def test_a_folder_without_known_records_is_refused(tmp_path: Path, shell: Shell) -> None:
-    shell("casebook", tmp_path, status=2)
-    assert "known folders" in shell.err
+    assert "known folders" in shell.fails("casebook", tmp_path)
     with pytest.raises(InputError, match="extra"):
         (tmp_path / "cases.toml").write_text("[[case]]\ntitle = 'a'\nfolder = 'b'\nsource = ''\nknown = ''\nextra = 1")
         load_cases(tmp_path / "cases.toml")
@@ -63,7 +59,7 @@ def test_a_folder_without_known_records_is_refused(tmp_path: Path, shell: Shell)
     assert cases_in(tmp_path, load_cases()) == [load_cases()[0]]
 
 
-@pytest.mark.parametrize(("verdict", "effects", "agrees"), [
+@pytest.mark.parametrize("verdict, effects, agrees", [
     ("named", ["asymmetric_friction", "torque_delay"], True), ("named", ["torque_delay"], False),
     ("partial", ["asymmetric_friction"], True),
     ("one_of", ["asymmetric_friction", "torque_offset"], False), ("none", [], False)])
@@ -74,13 +70,12 @@ def test_only_a_cause_that_is_named_agrees(verdict: Verdict, effects: list[str],
 
 
 @pytest.fixture(scope="module")
-def book(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+def book(module_path: Path) -> tuple[dict[str, Any], str]:
     """JSON by folder, and the page."""
-    out = tmp_path_factory.mktemp("casebook")
     wanted = [word for name in ("emps", "multiarm", "song_imu", "bam_xl330") for word in ("--only", name)]
-    assert main(["casebook", str(DATA), *wanted, "--json", str(out / "c.json"), "--html", str(out / "c.html")]) == 0
-    return ({case["folder"]: case for case in json.loads((out / "c.json").read_text())["cases"]},
-            (out / "c.html").read_text())
+    typed("casebook", DATA, *wanted, "--json", module_path / "c.json", "--html", module_path / "c.html")
+    return ({case["folder"]: case for case in json.loads((module_path / "c.json").read_text())["cases"]},
+            (module_path / "c.html").read_text())
 
 
 @needs_records
@@ -144,8 +139,7 @@ def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tupl
     assert calibrated["rms"]["angle_rad"]["after"] < 0.5 * calibrated["rms"]["angle_rad"]["before"]
     assert calibrated["rms"]["angle_rad"]["before"] < calibrated["published_angle_rms_rad"]
     runs = [str(DATA / "bam_xl330" / "kp100_sin_sin.csv.gz")]
-    shell("fit", *runs, "--rig", RIGS / "song_imu.toml", status=2)
-    assert "tau1_nm is missing" in shell.err
+    assert "tau1_nm is missing" in shell.fails("fit", *runs, "--rig", RIGS / "song_imu.toml")
     fit = book[0]["bam_xl330"]["fits"][0]  # beside the data's README: 5.575 V gravity, .438 V s/rad, .0766 V s2/rad
     assert 9.81 * fit["found"]["beta2"] == pytest.approx(5.575, rel=0.1)
     assert fit["found"]["beta3"] == pytest.approx(0.438, rel=0.15)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator import fit
 from estimator.fitting import design_rows
@@ -35,9 +36,9 @@ def test_noise_is_that_of_table_ii_and_depends_on_seed_case_and_run_alone() -> N
     assert np.var(angle) == pytest.approx(1e-4, rel=0.06)
     assert np.var(torque) == pytest.approx(0.1, rel=0.06)
     first, again, other = (noisy_record(step, CASES[3], seed, 7)["q1_rad"] for seed in (5, 5, 6))
-    np.testing.assert_array_equal(first, again)
+    assert_array_equal(first, again)
     assert not np.array_equal(first, other)
-    np.testing.assert_array_equal(noisy_record(step, CASES[3], 5, 7)["q2_rad"], step.q[:, 1])
+    assert_array_equal(noisy_record(step, CASES[3], 5, 7)["q2_rad"], step.q[:, 1])
 
 
 def test_blocks_cover_every_run_once() -> None:
@@ -59,7 +60,7 @@ def test_mle_is_near_its_bound_and_best_of_four() -> None:
     found = {m: run_block(Block(case, m, 0, 40, 3)) for m in ("mle", "wls", "rls", "hekf")}
     table = make_table({Block(case, m, 0, 40, 3): r for m, r in found.items()}, 3)
     mle = table.cell(3, "mle")
-    assert mle is not None and mle.failed == 0 and mle.not_converged == 0
+    assert mle.failed == 0 and mle.not_converged == 0
     assert mle.mean_mse_over_bound < 1.3
     assert 0.9 < mle.coverage < 0.99
     assert all(mle.mean < cell.mean for cell in table.cells if cell.method != "mle")
@@ -85,7 +86,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
     with pytest.raises(KeyboardInterrupt):
         store.run_study(work, tmp_path / "part", SerialExecutor(), lambda block, count: None)
     (tmp_path / "part" / f"{work[1].name}.npz").write_bytes(b"half a file")
-    redone: list[Block] = []
+    redone = []
 
     def counted(block: Block) -> study.BlockResult:
         redone.append(block)
@@ -95,13 +96,12 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
     resumed = store.run_study(work, tmp_path / "part", SerialExecutor(), lambda block, count: None)
     assert redone == work[1:]
     for block in work:
-        np.testing.assert_array_equal(resumed[block].error, whole[block].error)
+        assert_array_equal(resumed[block].error, whole[block].error)
 
 
 def test_command_writes_table_report_and_runs(tmp_path: Path, shell: Shell) -> None:
     out, js = tmp_path / "study", tmp_path / "table.json"
-    arguments = ["monte-carlo", "biped3", "--runs", "6", "--cases", "1", "--methods", "mle,wls", "--workers", "1",
-                 "--out", str(out), "--json", str(js)]
+    arguments = "monte-carlo biped3 --runs 6 --cases 1 --methods mle,wls --workers 1 --out", out, "--json", js
     shell(*arguments)
     text = shell.out
     assert "MLE" in text and "1.242" in text and "floor" in text
@@ -160,5 +160,5 @@ def test_known_weights_are_those_of_the_declared_noise() -> None:
     root = np.array([1.0 / OURS.passive_nm, *[1.0 / np.sqrt(TORQUE_VARIANCE)] * 2])
     expected = np.linalg.lstsq((design.z * root[:, None]).reshape(-1, mechanism.p), (design.torque * root).ravel(),
                                rcond=None)[0]
-    np.testing.assert_allclose(fit([data], mechanism, options, "wls").beta, expected, rtol=1e-6)
+    assert_allclose(fit([data], mechanism, options, "wls").beta, expected, rtol=1e-6)
     assert not np.allclose(fit([data], mechanism, case_options(case, "wls"), "wls").beta, expected, rtol=1e-3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator.model import biped3
 from studies import walker
@@ -15,14 +16,14 @@ def step() -> walker.Step:
 
 def test_parameters_are_those_of_the_paper() -> None:
     # (57) put into (58) by hand
-    np.testing.assert_allclose(walker.true_parameters(), [31.25, 1.25, 2.5, 2.5, 5.0, 318.5, 24.5, 49.0], rtol=1e-12)
+    assert_allclose(walker.true_parameters(), [31.25, 1.25, 2.5, 2.5, 5.0, 318.5, 24.5, 49.0], rtol=1e-12)
 
 
 def test_record_is_068_s_at_100_hz_and_obeys_the_model(step: walker.Step) -> None:
     assert len(step.time_s) == 69
     assert step.time_s[-1] == pytest.approx(0.68)
     tau = biped3().inverse_dynamics(step.q, step.qd, step.qdd, walker.true_parameters())
-    np.testing.assert_allclose(tau, step.torque, atol=1e-9)
+    assert_allclose(tau, step.torque, atol=1e-9)
     assert np.all(step.torque[:, 0] == 0.0)
 
 
@@ -30,13 +31,13 @@ def test_integration_error_is_below_1e_10(step: walker.Step) -> None:
     q, qd = step.q[0], step.qd[0]
     for k in range(68):
         q, qd = advance(biped3(), walker.true_parameters(), q, qd, step.torque[k], walker.PERIOD_S, 80)
-    np.testing.assert_allclose(q, step.q[-1], atol=1e-10)
+    assert_allclose(q, step.q[-1], atol=1e-10)
 
 
 def test_controller_drives_the_virtual_constraints_to_zero(step: walker.Step) -> None:
     y = step.q @ walker.CONSTRAINTS.T - walker.TARGETS
     assert np.max(np.abs(y)) > 0.01  # the impact throws the posture off
-    np.testing.assert_allclose(y[-1], 0.0, atol=0.02)
+    assert_allclose(y[-1], 0.0, atol=0.02)
 
 
 def test_gait_repeats_itself() -> None:
@@ -90,9 +91,9 @@ def momentum_before(qd: np.ndarray) -> float:
 def test_motor_angles_describe_the_same_motion(step: walker.Step) -> None:
     motors = step.in_motor_angles()
     tau = walker.motor_mechanism().inverse_dynamics(motors.q, motors.qd, motors.qdd, walker.true_parameters())
-    np.testing.assert_allclose(tau, motors.torque, atol=1e-9)
+    assert_allclose(tau, motors.torque, atol=1e-9)
     b = np.array([[0, 0], [0, -1], [1, 1]])  # B of the paper: tau = B u
-    np.testing.assert_allclose(motors.torque[:, 1:] @ b.T, step.torque, atol=1e-12)
+    assert_allclose(motors.torque[:, 1:] @ b.T, step.torque, atol=1e-12)
 
 
 def test_free_runs_repeat_the_record_and_notice_failure(step: walker.Step) -> None:
@@ -100,5 +101,5 @@ def test_free_runs_repeat_the_record_and_notice_failure(step: walker.Step) -> No
     beta[1, 0] = 10.0  # positive definite at first, singular once the legs pass
     beta[2] = np.nan
     runs = free_runs(biped3(), beta, step.q[0], step.qd[0], step.torque, walker.PERIOD_S)
-    np.testing.assert_allclose(runs.q[0], step.q, atol=1e-7)
+    assert_allclose(runs.q[0], step.q, atol=1e-7)
     assert runs.failed.tolist() == [False, True, True]

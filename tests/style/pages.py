@@ -39,7 +39,7 @@ def prose(page: str) -> str:
 
 def sentences(page: str) -> list[str]:
     """The sentences of all paragraphs and items of lists."""
-    out: list[str] = []
+    out = []
     for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.|:)\s)", prose(page)):
         out += re.split(r"(?<=[.!?:;])[*\")]*\s+(?=[*\"(\[]*[A-Z0-9`\"])", " ".join(block.split()))
     return out

@@ -22,7 +22,7 @@ MOST_LIX = 24.0
 """Of all messages together."""
 CLAUSE = re.compile(r"(What|Who|Whoever|Whose|Which|Where|How|That|Of|By|With|From|As(?! many)|So|Nothing|Beyond)\b")
 """First word of a clause that does not say what comes back."""
-ALLOWED: list[tuple[str, str, str]] = [
+ALLOWED = [
     ("legid/tools.py", "doubt", "the flag --doubt of legid excite, an argument of the same name"),
     ("estimator/result.py", "`doubt`", "a role of a finding, as documents have it"),
 ]

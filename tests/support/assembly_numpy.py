@@ -4,8 +4,6 @@ Rows come with the sample last, as arrays over samples make them; the normal equ
 wants them. What the terms add comes from the table of terms, not from the kernels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

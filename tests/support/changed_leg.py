@@ -1,7 +1,5 @@
 """Runs of a leg of another engine, the last ones with a change."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,9 +27,9 @@ def loaded(leg: Leg, link: int, mass: float, distance: float, inertia: float) ->
 
 
 def leg_runs(out: Path, changes: Callable[[Readings], None], changed: Callable[[Leg], Leg] = lambda leg: leg,
-             seed: int = 11, seconds: float = 10.0) -> tuple[list[Path], Path]:
+             seconds: float = 10.0) -> tuple[list[Path], Path]:
     """Eight runs of `seconds` [s] of one leg, the last four with a change of the readings, or of the leg."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(11)
     leg = replace(random_leg(rng), coulomb=(0.01, 0.05))
 
     def logged(run: int) -> Readings:

@@ -1,7 +1,5 @@
 """A leg on virtual time whose controller's clock fails at a moment: ticks of telemetry, of probes, or of both."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Cramer-Rao bound of a record: how well beta could be known from it by any unbiased estimator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq import FloatArray

@@ -1,7 +1,5 @@
 """A block tridiagonal chain as one matrix, and what a smoother leaves in a residual by it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq import Dataset, FloatArray

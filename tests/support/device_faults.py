@@ -3,8 +3,6 @@
 Nothing here is random by itself: whoever injects hands in a seeded generator, or says when.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import time

@@ -1,7 +1,5 @@
 """The documented JSON documents: their JSON Schema, and the table of their keys."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, get_args, get_origin, get_type_hints
 

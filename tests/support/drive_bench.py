@@ -1,7 +1,6 @@
 """A drive before its emulator on virtual time, with a leg or a joint held fast behind it."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -82,3 +81,22 @@ def telemetry(received: list[Received]) -> list[Telemetry]:
 def states(received: list[Received]) -> set[State]:
     """The states that they name."""
     return {State(one.state) for one in telemetry(received)}
+
+
+def fed_in_pieces(packet: Callable[[int, int, bytes], bytes], decoder: Any) -> list[bytes]:
+    """300 packets, which come out of the decoder whole however their stream is cut."""
+    rng = np.random.default_rng(1)
+    sent = [packet(int(rng.integers(253)), 0, rng.bytes(int(rng.integers(60)))) for _ in range(300)]
+    stream, found = b"".join(sent), 0
+    while stream:
+        n = int(rng.integers(1, 40))
+        found += len(decoder.feed(stream[:n]))
+        stream = stream[n:]
+    assert found == 300 and decoder.bad == 0
+    return sent
+
+
+def models_heard(bench: DriveBench, decoder: Any) -> list[tuple[int, int]]:
+    """Identifiers and model numbers of servos that answer together."""
+    return [(one.ident, int.from_bytes(one.params, "little"))
+            for _ in range(5) for one in decoder.feed(bench.link.read())]

@@ -1,7 +1,5 @@
 """Runs of a driven pendulum that may feel more than its nominal model knows: short, for whole diagnoses in seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
@@ -41,7 +39,7 @@ def pendulum_run(name: str, seed: int, drag: float = 0.0, spring: float = 0.0, n
     rng = np.random.default_rng(seed)
     grid = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
     tones = rng.uniform(1.0, 9.0, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
-    torque: FloatArray = (0.4 + 0.1 * rng.random()) * np.sum(np.sin(np.outer(grid, tones[0]) + tones[1]), axis=1)
+    torque = (0.4 + 0.1 * rng.random()) * np.sum(np.sin(np.outer(grid, tones[0]) + tones[1]), axis=1)
     inertia, moment, viscous, coulomb = BETA
 
     def rates(t: float, y: FloatArray) -> list[float]:

@@ -4,11 +4,9 @@ Pinocchio gives accelerations by its articulated-body algorithm, which Runge-Kut
 steps by its own semi-implicit Euler rule. Friction is a torque in both.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -80,7 +78,7 @@ class Bullet:
 
     def __init__(self, leg: Leg) -> None:
         self.leg, self._b = leg, importlib.import_module("pybullet")
-        b: Any = self._b
+        b = self._b
         self._client = b.connect(b.DIRECT)
         b.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self._client)
         b.setTimeStep(1.0 / STEP_HZ, physicsClientId=self._client)

@@ -1,7 +1,5 @@
 """The normal equations of a likelihood, by name."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.likelihood import Linearised

@@ -28,7 +28,7 @@ class Case(NamedTuple):
     joint: int = 2
 
 
-EFFECTS: dict[str, Case] = {
+EFFECTS = {
     "joint_stiffness": Case({"stiffness": 0.4, "preload": 0.1}, joint=1), "quadratic_drag": Case({"drag": 0.004}),
     "rotor_inertia": Case({"inertia": 0.004}), "torque_offset": Case({"offset": 0.05}),
     "imu_lever_arm": Case({"excess": 0.01}), "imu_misalignment": Case({"angle": 0.05}),
@@ -87,9 +87,9 @@ def in_mujoco(model: Model, run: Dataset, step_s: float) -> Mapping[str, FloatAr
     return ExportedLeg(model, "m.json").run(record, Piece(0, len(run), np.array(START), np.zeros(2)), step_s)
 
 
-def angle_error(model: Model, step_s: float, seconds: float = 5.0) -> float:
+def angle_error(model: Model, step_s: float) -> float:
     """Largest difference of an angle's reading between both [rad]."""
-    run = simulated(model, seconds)
+    run = simulated(model, 5.0)
     found = in_mujoco(model, run, step_s)
     assert np.ptp(run["q2_rad"]) > 0.4  # it does move
     return max(float(np.abs(found[c] - run[c]).max()) for c in ("q1_rad", "q2_rad"))

@@ -53,3 +53,19 @@ def plant_motion(name: str, folder: Path) -> np.ndarray[Any, Any]:
         motion.append((state.q1, state.q2))
         state = plant.step(0.005, torque)
     return np.array(motion)
+
+
+def assert_moves_as_the_plant(model: Model, name: str, folder: Path) -> None:
+    """A simulation's motion is the plant's that hides `name`, much nearer than without the extension."""
+    extended, truth, plain = run_of(model, folder), plant_motion(name, folder), run_of(model_with(), folder)
+    for j, column in enumerate(("q1_rad", "q2_rad")):
+        error, without = (np.sqrt(np.mean((run[column] - truth[:, j]) ** 2)) for run in (extended, plain))
+        assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * without
+
+
+def noisy_run(model: Model, folder: Path) -> Path:
+    """The rig file for a run of m.json with noise; plain.json is the model without its extension."""
+    run_of(model, folder, "--noise-seed", "3")
+    (folder / "rig.toml").write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
+    save_model(model_with(), folder / "plain.json")
+    return folder / "rig.toml"

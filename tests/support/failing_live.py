@@ -18,7 +18,7 @@ from experiments.live import bench, children, page, session
 ENTRY = "LEGID_FAILING"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 GONE = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), "run-0.mcap")
-PARTS: dict[str, tuple[Any, str, Exception]] = {
+PARTS = {
     "runs: file vanished": (bench.Bench, "runs", GONE),
     "runs: disk error": (bench.Bench, "runs", OSError(errno.EIO, os.strerror(errno.EIO))),
     "quality: disk full": (bench, "look_at", FULL),

@@ -5,8 +5,6 @@ in the motor's angle. Friction wanders by an Ornstein-Uhlenbeck process. The mot
 controller. Integration is the midpoint rule at 4 kHz; nothing of the estimator's motion model is in here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

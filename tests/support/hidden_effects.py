@@ -4,8 +4,6 @@ The plants share no code with the estimator. `evidence.blind.physics` has fricti
 two-mass gear, LuGre bristles, a stop of Hunt and Crossley and a stand as a further body. MuJoCo takes a friction law.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -89,7 +87,7 @@ def _stribeck(excess: float, speed: float) -> HiddenEffect:
 # more noise than there is: contact between samples (backlash), Hertz's law (end stop), a second harmonic (ripple), and
 # an acceleration that the likelihood iterates too few times for a rotor of a fifth of its link's inertia
 LATE_S, LEVEL_NM = 0.008, 0.8
-HIDDEN: dict[str, HiddenEffect] = {
+HIDDEN = {
     "accelerometer_bias": HiddenEffect({"bias_x": 0.3, "bias_y": -0.2}, sense={"accel_bias_x": 0.3,
                                                                               "accel_bias_y": -0.2}),
     "asymmetric_friction": HiddenEffect({"coulomb_difference": 0.08, "viscous_difference": 0.03}, 0.15,
@@ -144,7 +142,7 @@ def _integrated(names: Sequence[str], plans: Sequence[Torque]) -> dict[str, list
     """All in one integration, a lane a run."""
     lanes = [(HIDDEN[name], k, plan) for name in names for k, plan in enumerate(plans)]
     acting = np.array([hidden.acting(plan, GRID) for hidden, _, plan in lanes])
-    plant: dict[str, FloatArray | float] = {
+    plant = {
         key: np.array([hidden.plant.get(key, 0.0) for hidden, _, _ in lanes])
         for key in sorted({key for hidden, _, _ in lanes for key in hidden.plant})}
     late = np.array([i for i, (hidden, _, _) in enumerate(lanes) if "skew" in hidden.sense], dtype=np.intp)

@@ -1,7 +1,5 @@
 """Records of a leg behind a position loop that does otherwise than it says, and the size that a fit should find."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -42,7 +40,7 @@ def _directional(q1: float, q2: float, v1: float, v2: float, u: float) -> tuple[
     return 0.0, -(1.0 + 0.8 * near) * abs(0.175 * u - 0.075 * load) * math.tanh(v2 / 0.02)
 
 
-HIDDEN_LOOPS: dict[str, HiddenLoop] = {
+HIDDEN_LOOPS = {
     "command_delay": HiddenLoop(ServoFaults(delay_s=0.015), {"delay": 0.015}),
     "gain_scale": HiddenLoop(ServoFaults(gain=1.2), {"scale_error": 0.2}, fixed={"beta5": float(LEG.beta()[4])}),
     "missing_integral": HiddenLoop(ServoFaults(integral=2.0), {"integral": 2.0}),

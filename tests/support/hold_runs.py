@@ -4,8 +4,6 @@ So slowly that nothing has inertia, the shank's moment G sin(theta) follows the 
 and the free pivot hangs where both links balance: beta4 sin q1 + beta5 sin theta = 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,13 +29,12 @@ class Truth:
     offset_nm: float = 0.0
 
 
-def hold_run(truth: Truth, rng: np.random.Generator, mass_kg: float = 0.0, arm_m: float = 0.25, peak_nm: float = 0.8,
-             levels: int = 4, columns: str = "imu") -> Dataset:
+def hold_run(truth: Truth, rng: np.random.Generator, mass_kg: float = 0.0, columns: str = "imu") -> Dataset:
     """One staircase, with a mass on link 2 or without."""
-    plan = staircase(peak_nm, levels)
+    plan = staircase(0.8, 4)
     command = plan.torque_nm
-    moment = (truth.beta5 + mass_kg * arm_m) * G
-    friction = truth.coulomb + truth.load_friction * mass_kg * arm_m * G
+    moment = (truth.beta5 + mass_kg * 0.25) * G
+    friction = truth.coulomb + truth.load_friction * mass_kg * 0.25 * G
     carried, follows = np.empty(command.size), 0.0
     for k, torque in enumerate(truth.gain * command):
         follows = min(max(follows, torque - friction), torque + friction)

@@ -1,5 +1,6 @@
 """One MuJoCo run as other programs would have written it: other names, units, signs, clocks and formats."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,10 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from daq import Dataset
+from daq.rig_columns import Column
+from experiments.exchange.column_map import load_map
+from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import typed
 
 DEGREE = np.pi / 180.0
 G = 9.80665
@@ -81,3 +86,31 @@ def pendulum(rows: int = 1200, rate_hz: float = 100.0) -> tuple[np.ndarray, np.n
     q = 0.8 * np.sin(2.1 * t) + 0.5 * np.sin(5.3 * t + 1.0)
     qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
     return t, q, 0.05 * qdd + 0.02 * qd + 1.2 * np.sin(q)
+
+
+def table(path: Path, columns: Mapping[str, np.ndarray], digits: int = 12) -> Path:
+    """A CSV file of these columns."""
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", comments="", fmt=f"%.{digits}g",
+               header=",".join(columns))
+    return path
+
+
+def table_of(run: Dataset, path: Path, **others: np.ndarray) -> Path:
+    """A CSV file of a run's time and columns; `others` replace them."""
+    return table(path, {"time_s": run.time_s, **run.columns, **others})
+
+
+def guess(file: Path, *words: str, status: int = 0) -> dict[str, Column]:
+    """The map that `legid import --guess` writes next to a file."""
+    target = file.with_suffix(".toml")
+    typed("import", file, "--guess --map", target, *words, status=status)
+    return load_map(target)
+
+
+def degrees_log(path: Path, seed: int, time: str = "Time") -> Path:
+    """Ten seconds of a leg as another program logs them: degrees, semicolons, names of its own."""
+    run = record(Leg(), np.random.default_rng(seed), seconds=10.0)
+    np.savetxt(path, np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]),
+                                      run["tau2_nm"]]),
+               delimiter=";", header=f"{time} [s];Hip [deg];Knee [deg];Torque [Nm]", comments="")
+    return path

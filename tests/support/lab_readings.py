@@ -1,7 +1,5 @@
 """Readings as the sensors of a lab give them, a little wrong in all ways at once; physics written out anew."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A leg in MuJoCo with a magnet near its knee's middle, and the structure learnt from its runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

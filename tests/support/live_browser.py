@@ -72,9 +72,9 @@ class Browser:
         raise AssertionError(f"{what}: not within {patience_s:g} s; phase {self.text('phase')!r}, "
                              f"words {self.text('words')!r}")
 
-    def phase(self, *wanted: str, patience_s: float = PATIENCE_S) -> str:
+    def phase(self, *wanted: str) -> str:
         """Wait until the page is in one of these states."""
-        self.wait(lambda: self.text("phase") in wanted, " or ".join(wanted), patience_s)
+        self.wait(lambda: self.text("phase") in wanted, " or ".join(wanted), PATIENCE_S)
         return self.text("phase")
 
     def click(self, element: str) -> None:

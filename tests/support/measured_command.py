@@ -1,7 +1,5 @@
 """A command of legid with what it needs: time of a processor and memory, its children included."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

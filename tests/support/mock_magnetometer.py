@@ -1,7 +1,5 @@
 """A register-level magnetometer of the LSM9DS1."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 
@@ -19,8 +17,8 @@ POWER_DOWN = 0x02
 class MockMagnetometer:
     """The chip: a field that a test sets shows up at the output data rate, and moves under self-test."""
 
-    def __init__(self, clock: Clock, address: int = 0x1E) -> None:
-        self.address = address
+    def __init__(self, clock: Clock) -> None:
+        self.address = 0x1E
         self.field_gauss = (0.2, 0.0, 0.4)
         """Field in the magnetometer's own axes."""
         self.self_test_mgauss = (2000.0, 2000.0, 500.0)

@@ -1,7 +1,5 @@
 """Healthy joints that move in many ways, by integration of their own: what a look at readings must leave as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run files of a rig with its motor off, written sample by sample from given motion: no code under test makes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

@@ -3,8 +3,6 @@
 The physical parameters are seeded; `record` returns a `Dataset` with the noise of a real rig.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

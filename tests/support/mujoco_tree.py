@@ -5,8 +5,6 @@ Dry friction is rounded off over `FRICTION_RADPS` and acts inside MuJoCo's integ
 over a step of half a millisecond it would come a quarter of one late, which intervals of a long chain notice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

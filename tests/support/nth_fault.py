@@ -4,8 +4,6 @@ One recording goes on undisturbed. At each operation it is forked: in the copy t
 records to its end with a file of its own. So every N costs the end of a recording, not a whole one.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import math

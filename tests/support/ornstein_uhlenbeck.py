@@ -1,7 +1,5 @@
 """A coloured disturbance torque drawn by its definition, and a leg's record under it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,10 +19,10 @@ def draw(rng: np.random.Generator, count: int, level: float, time_constant_s: fl
     return out
 
 
-def disturbed_record(leg: Leg, rng: np.random.Generator, level: float, time_constant_s: float, name: str = "run",
-                     count: int = 2000) -> Dataset:
+def disturbed_record(leg: Leg, rng: np.random.Generator, level: float, time_constant_s: float, name: str = "run"
+                     ) -> Dataset:
     """MuJoCo's leg at 100 Hz whose knee feels the disturbance, which its shunt does not read."""
-    time = np.arange(count) / 100.0
-    disturbance = draw(rng, count, level, time_constant_s, 0.01)
-    made = record(leg, rng, seconds=count / 100.0, tau=multisine(rng, time, 1.2) + disturbance, name=name)
+    time = np.arange(2000) / 100.0
+    disturbance = draw(rng, 2000, level, time_constant_s, 0.01)
+    made = record(leg, rng, seconds=20.0, tau=multisine(rng, time, 1.2) + disturbance, name=name)
     return replace(made, columns={**made.columns, "tau2_nm": made["tau2_nm"] - disturbance})

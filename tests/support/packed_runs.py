@@ -4,9 +4,9 @@ import gzip
 from pathlib import Path
 
 
-def stuck(source: Path, target: Path, column: str = "q2_rad", at: str = "0.3") -> None:
+def stuck(source: Path, target: Path) -> None:
     """A copy whose column reads the same everywhere."""
     header, *rows = (line.split(",") for line in gzip.decompress(source.read_bytes()).decode().splitlines())
-    k = header.index(column)
-    lines = [header, *([*row[:k], at, *row[k + 1 :]] for row in rows)]
+    k = header.index("q2_rad")
+    lines = [header, *([*row[:k], "0.3", *row[k + 1 :]] for row in rows)]
     target.write_bytes(gzip.compress("\n".join(map(",".join, lines)).encode()))

@@ -1,7 +1,5 @@
 """Prediction tables made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Records of arms whose motion is given, and whose torque is what their equation of motion asks for: exact, cheap."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,14 +26,14 @@ def _motion(rng: np.random.Generator, time: np.ndarray, joints: int) -> tuple[np
 
 def arm_run(seed: int, *, seconds: float = 10.0, offset: Sequence[float] = (0.0, 0.0), rotor: float = 0.0,
             zero: Sequence[float] = (0.0, 0.0), beta: np.ndarray = BETA, torque: float = 0.02, encoder: float = 1e-4,
-            rate_hz: float = 100.0, knee: float = 1.0) -> Dataset:
+            knee: float = 1.0) -> Dataset:
     """A two-link arm with motors at both joints; `knee` is how far joint 2 moves, as a share of what it does else."""
-    rng, time = np.random.default_rng(seed), np.arange(int(seconds * rate_hz)) / rate_hz
+    rng, time = np.random.default_rng(seed), np.arange(int(seconds * 100.0)) / 100.0
     model = leg2(actuated=(0, 1), rotor_inertia=(1,), torque_offset=(0, 1))
     q, v, a = (x * [1.0, knee] for x in _motion(rng, time, 2))
     tau = model.inverse_dynamics(q, v, a, np.concatenate([beta, [rotor], offset])) + torque * rng.normal(size=q.shape)
     read = q + np.asarray(zero) + encoder * rng.normal(size=q.shape)
-    return Dataset(f"run{seed}.csv", rate_hz, time, {"q1_rad": read[:, 0], "q2_rad": read[:, 1], "tau1_nm": tau[:, 0],
+    return Dataset(f"run{seed}.csv", 100.0, time, {"q1_rad": read[:, 0], "q2_rad": read[:, 1], "tau1_nm": tau[:, 0],
                                                      "tau2_nm": tau[:, 1]})
 
 

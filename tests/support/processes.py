@@ -69,3 +69,11 @@ def _status(stat: Path) -> list[str]:
         return stat.read_text().rsplit(")", 1)[1].split()
     except OSError:
         return []
+
+
+def evidence(*words: object) -> str:
+    """What `python -m evidence` prints, which must end well."""
+    done = subprocess.run([sys.executable, "-m", "evidence", *map(str, words)], cwd=ROOT, text=True,
+                          capture_output=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout

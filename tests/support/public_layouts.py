@@ -1,7 +1,5 @@
 """Recordings as other projects' programs write them: PACE, LeRobot, BAM, ROS trajectories, registers."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

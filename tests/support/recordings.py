@@ -39,8 +39,8 @@ def at(seconds: float, act: Any) -> Any:
     return progress
 
 
-def sine(seconds: float = 2.0, peak_nm: float = 0.5, step_s: float = 0.01) -> Plan:
-    t = np.arange(0.0, seconds, step_s)
+def sine(seconds: float = 2.0, peak_nm: float = 0.5) -> Plan:
+    t = np.arange(0.0, seconds, 0.01)
     return Plan(t, peak_nm * np.sin(2 * np.pi * t / seconds * 2))
 
 

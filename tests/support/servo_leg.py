@@ -1,7 +1,5 @@
 """A leg of MuJoCo whose knee is a position servo, logged with its command and without its torque."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass

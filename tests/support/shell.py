@@ -1,6 +1,10 @@
 """`legid` as it is typed: a command, the status that it must end with, and what it said."""
 
-from __future__ import annotations
+import json
+import re
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 
@@ -11,6 +15,14 @@ def typed(*words: object, status: int = 0) -> None:
     """`typed("fit", run, "--sensors imu --rig", rig)`: words are split at blanks, paths are not."""
     assert cli.main([part for word in words for part in (word.split() if isinstance(word, str) else [str(word)])]
                     ) == status
+
+
+def document(*words: object, status: int = 0) -> Any:
+    """The document that a command writes with `--json`."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "document.json"
+        typed(*words, "--json", path, status=status)
+        return json.loads(path.read_text())
 
 
 class Shell:
@@ -33,9 +45,9 @@ class Shell:
         return self.read().err
 
     def fails(self, *words: object, status: int = 2) -> str:
-        """The one line of a command that must fail."""
+        """The one line of a command that must fail, without those that a busy machine's progress adds."""
         self.read()
         self(*words, status=status)
-        line = self.err
+        line = re.sub(r"(?m)^.* s so far\n", "", self.err)
         assert line.count("\n") == 1 and line.startswith("legid") and "Traceback" not in line, line
         return line

@@ -1,7 +1,5 @@
 """A leg with one effect as our own simulation moves it, as the record of that run, and the likelihood of the record."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Fits whose likelihoods are stated, for tests of what a search and a verdict make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace

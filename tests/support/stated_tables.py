@@ -1,7 +1,5 @@
 """Tables of free-run errors that are written down, and families of models in their rows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

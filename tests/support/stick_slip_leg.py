@@ -7,8 +7,6 @@ ticks of 1 kHz, its torque held from one to the next: by a plan, or by a positio
 motion model is in here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,11 +169,11 @@ class Motion:
     leg: Leg
 
 
-def move(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, closed: bool = False,
-         amplitude: float | None = None, high: float = 3.0) -> Motion:
+def move(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, closed: bool = False, high: float = 3.0
+         ) -> Motion:
     """A motion from rest: a multisine of torque [N m], or of the knee's angle [rad] under the position controller."""
     time = np.arange(round(seconds / TICK_S)) * TICK_S
-    x = multisine(rng, time, amplitude or (1.0 if closed else 1.6), high=high)
+    x = multisine(rng, time, 1.0 if closed else 1.6, high=high)
     fade = np.minimum(1.0, time / 0.5)
     x = x * fade * fade
     rows = np.empty((time.size, 7))
@@ -191,8 +189,7 @@ def drive(leg: Leg, torque: np.ndarray) -> Motion:
     return Motion(np.arange(torque.size) * TICK_S, rows, leg)
 
 
-def sample(motion: Motion, rng: np.random.Generator, rate_hz: float, *, gyro: float = 0.005, accel: float = 0.05,
-           torque: float = 0.02, name: str = "run") -> Dataset:
+def sample(motion: Motion, rng: np.random.Generator, rate_hz: float, *, name: str = "run") -> Dataset:
     """What a recorder on a grid of `rate_hz` has of a motion; at a tick torque and acceleration are the mean of both
     sides, as a sensor that sees a short while sees them."""
     rows = motion.rows[:: round(1.0 / (rate_hz * TICK_S))]
@@ -201,7 +198,7 @@ def sample(motion: Motion, rng: np.random.Generator, rate_hz: float, *, gyro: fl
     lever, grid = motion.leg.lever, 2 * np.pi / ENCODER_COUNTS
     columns = {
         "q1_rad": np.round(q1 / grid) * grid, "q2_rad": np.round(q2 / grid) * grid,
-        "tau2_nm": 0.5 * (u0 + u1) + torque * rng.normal(size=n), "gyro_radps": w + gyro * rng.normal(size=n),
-        "accel_x_mps2": lever * a + GRAVITY * np.sin(q1) + accel * rng.normal(size=n),
-        "accel_y_mps2": -lever * w**2 - GRAVITY * np.cos(q1) + accel * rng.normal(size=n)}
+        "tau2_nm": 0.5 * (u0 + u1) + 0.02 * rng.normal(size=n), "gyro_radps": w + 0.005 * rng.normal(size=n),
+        "accel_x_mps2": lever * a + GRAVITY * np.sin(q1) + 0.05 * rng.normal(size=n),
+        "accel_y_mps2": -lever * w**2 - GRAVITY * np.cos(q1) + 0.05 * rng.normal(size=n)}
     return Dataset(name, rate_hz, np.arange(n) / rate_hz, {k: np.ascontiguousarray(x) for k, x in columns.items()})

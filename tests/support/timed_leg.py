@@ -4,14 +4,11 @@ Runge-Kutta of fourth order at 8 kHz. A controller sets a torque at its ticks, t
 and a log keeps every so-many-th tick. Nothing of the estimator's motion model, and no other engine, is in here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from daq import Dataset, FloatArray
@@ -120,9 +117,9 @@ def logged(leg: Leg, rng: np.random.Generator, timing: Timing, rows: FloatArray,
     """The log of a motion, `rows` as `_run` returns them; noise of torque, gyro and accelerometer. `log_hz` need not be
     a part of the ticks: a row then has the last command."""
     rate_hz, substeps = log_hz or timing.tick_hz / timing.log_every, round(STEP_HZ / timing.tick_hz)
-    step: NDArray[np.intp] = np.arange(0, len(rows), round(STEP_HZ / rate_hz))
+    step = np.arange(0, len(rows), round(STEP_HZ / rate_hz))
     at = step // substeps
-    shown: FloatArray = command[at]
+    shown = command[at]
     if timing.between == "average":
         late = np.concatenate([np.zeros(1), np.cumsum(command)])
         shown = (late[at] - late[np.maximum(at - timing.log_every, 0)]) / timing.log_every

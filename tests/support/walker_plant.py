@@ -5,8 +5,6 @@ hip. Everything is made of the positions of five points, sum_i C[k, i] u(theta_i
 upright, by their Jacobians; nothing is shared with the estimator. A leg's angle is that of foot to hip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
@@ -202,8 +200,8 @@ def walk(plant: Plant, gait: Gait, steps: int, rng: np.random.Generator, rate_hz
     nods = rng.uniform([7.0, 11.0], [11.0, 16.0]), rng.uniform(0.0, 2 * np.pi, 2)
     rows: list[tuple[FloatArray, FloatArray, FloatArray, int]] = []
     landed: list[float] = []
-    before: list[tuple[FloatArray, FloatArray]] = []
-    after: list[FloatArray] = []
+    before = []
+    after = []
     while len(landed) < steps:
         now = len(rows) * period
         dither = gait.dither_nm / np.sqrt(3.0) * np.sin(tones[0] * now + tones[1]).sum(axis=1)

@@ -1,7 +1,5 @@
 """Does every dependency have a wheel for 64-bit Arm Linux? `make arm64` asks the package index."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess
@@ -17,10 +15,10 @@ EXTRAS = ("live", "parquet", "ros", "notebook")
 """What one would use on the board at the rig."""
 
 
-def requirements(extras: tuple[str, ...] = EXTRAS) -> list[str]:
+def requirements() -> list[str]:
     """Of pyproject.toml: the base, and these extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return [*project["dependencies"], *(r for extra in extras for r in project["optional-dependencies"][extra])]
+    return [*project["dependencies"], *(r for extra in EXTRAS for r in project["optional-dependencies"][extra])]
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -6,8 +6,6 @@ Versions stay as they are where pyproject.toml still allows them. The hashes are
 for every platform and of the source.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Write docs/schemas: the JSON Schema of each document. `python -m tests.tools.schemas`"""
 
-from __future__ import annotations
-
 import json
 
 from tests.support.documented import DOCUMENTED, json_schema

@@ -4,8 +4,6 @@ A demo is recorded, fitted, diagnosed and compared, its pages are opened in a br
 emulated leg.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import time

@@ -6,8 +6,6 @@
 A case that is in KEPT stays in the fast tier whatever it takes: one whole verb a verdict, one of each guard of a motor.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import tomllib

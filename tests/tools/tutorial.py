@@ -4,8 +4,6 @@ Every ```sh block is run in order, in one directory; the ```text block that foll
 first lines where a comment `<!-- first N lines -->` stands before it. tests/test_tutorial.py holds the page to that.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

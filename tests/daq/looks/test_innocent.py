@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
@@ -12,7 +13,7 @@ from tests.support.motions import MOTIONS, healthy
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
-@pytest.mark.parametrize(("rate_hz", "encoder"), [(10.0, "fine"), (50.0, "hobby"), (100.0, "2400 counts")])
+@pytest.mark.parametrize("rate_hz, encoder", [(10.0, "fine"), (50.0, "hobby"), (100.0, "2400 counts")])
 def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str) -> None:
     time_s, columns = healthy(kind, rate_hz, encoder, 1, 16.0)
     found = look(time_s, columns)
@@ -22,10 +23,10 @@ def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str
         return
     assert not found.faults
     for name, values in columns.items():
-        np.testing.assert_array_equal(found.columns[name], values)
+        assert_array_equal(found.columns[name], values)
 
 
-@pytest.mark.parametrize(("rate_hz", "friction", "rest_s"), [(20.0, 0.45, 60.0), (30.0, 0.2, 300.0), (8.0, 0.6, 30.0)])
+@pytest.mark.parametrize("rate_hz, friction, rest_s", [(20.0, 0.45, 60.0), (30.0, 0.2, 300.0), (8.0, 0.6, 30.0)])
 def test_a_swing_that_rests_for_long_is_one_series(rate_hz: float, friction: float, rest_s: float) -> None:
     """No scale of it is a median: at rest that is zero."""
     time = np.arange(0.0, 14.0, 1.0 / rate_hz)
@@ -36,7 +37,7 @@ def test_a_swing_that_rests_for_long_is_one_series(rate_hz: float, friction: flo
     assert not found.faults and np.array_equal(found.columns["q1_rad"], angle)
 
 
-@pytest.mark.parametrize(("small", "speed"), [(1.0, 12.0), (0.05, 30.0), (2.5, 4.0)])
+@pytest.mark.parametrize("small, speed", [(1.0, 12.0), (0.05, 30.0), (2.5, 4.0)])
 def test_a_joint_that_later_turns_on_and_on_did_not_stand_still(small: float, speed: float) -> None:
     time = np.arange(3000) / 200.0
     angle = small * np.sin(2.0 * np.pi * 0.8 * time) + np.where(time > 5.0, speed * (time - 5.0) ** 2 / 2.0, 0.0)
@@ -66,7 +67,7 @@ def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float
     return angle, wrong, look(time, {"q1_rad": np.where(wrong, value, angle), "tau1_nm": torque})
 
 
-@pytest.mark.parametrize(("value", "rows", "rate_hz", "push"), [
+@pytest.mark.parametrize("value, rows, rate_hz, push", [
     (0.0, [(300, 304), (900, 909), (1700, 1722)], 250.0, 2.0),
     (-1.0, [(120, 125), (430, 438), (1010, 1040)], 100.0, 9.0),
     (3.2768, [(77, 84), (500, 506), (660, 669)], 60.0, 0.0)])
@@ -74,8 +75,8 @@ def test_readings_lost_for_moments_are_left_out_and_nothing_behind_them_moves(
         value: float, rows: list[tuple[int, int]], rate_hz: float, push: float) -> None:
     angle, wrong, found = lossy(value, rows, rate_hz, push)
     assert {fault.what for fault in found.faults} <= {"isolated", "frozen"}
-    np.testing.assert_array_equal(np.isnan(found.columns["q1_rad"]), wrong)
-    np.testing.assert_array_equal(found.columns["q1_rad"][~wrong], angle[~wrong])
+    assert_array_equal(np.isnan(found.columns["q1_rad"]), wrong)
+    assert_array_equal(found.columns["q1_rad"][~wrong], angle[~wrong])
     places = sorted(place for fault in found.faults for place in fault.rows)
     assert places == [(start + 1, stop) for start, stop in rows]
 
@@ -102,10 +103,10 @@ def test_as_read_takes_what_is_refused_otherwise() -> None:
     found = look(time, {"q1_rad": mixed}, as_read=True)
     (fault,) = found.faults
     assert "two series take turns" in str(fault) and fault.done == "kept"
-    np.testing.assert_array_equal(found.columns["q1_rad"], mixed)
+    assert_array_equal(found.columns["q1_rad"], mixed)
 
 
-@pytest.mark.parametrize(("rate_hz", "seconds"), [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])
+@pytest.mark.parametrize("rate_hz, seconds", [(20.0, 2.6), (50.0, 1.5), (200.0, 4.0)])
 def test_a_rate_that_was_made_from_an_angle_is_zero_at_rest(rate_hz: float, seconds: float) -> None:
     """As in a public record: velocities that a log computed, with a rest before a release."""
     time = np.arange(round(20.0 * rate_hz)) / rate_hz

@@ -8,7 +8,7 @@ from drivers.mock import MockRig
 @pytest.fixture
 def mocks(monkeypatch: pytest.MonkeyPatch) -> list[MockRig]:
     """The rigs that a test makes."""
-    made: list[MockRig] = []
+    made = []
     original = MockRig.__init__
     monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (made.append(self), original(self, *a, **k))[1])
     return made

@@ -23,11 +23,11 @@ LIMITS = "staleness_s = 2.0\nclock_bound_s = 1.0\nunsaved_s = 1.3\n"
 
 def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, mocks: list[MockRig],
                                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    disks: list[FaultyDisk] = []
+    disks = []
     create = mcap_run._create
     monkeypatch.setattr(mcap_run, "_create", lambda path: (disks.append(FaultyDisk(create(path))), disks[0])[1])
     monkeypatch.setattr(recorder, "FINISH_S", 0.5)
-    hung: list[float] = []
+    hung = []
 
     def hang() -> None:
         hung.append(time.monotonic())
@@ -42,7 +42,7 @@ def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, m
     assert mocks[0].firmware.drive.state != State.ARMED
 
 
-@pytest.mark.parametrize(("act", "said"), [
+@pytest.mark.parametrize("act, said", [
     (lambda path: path.unlink(), "is not in its place any more"),
     (lambda path: os.truncate(path, 100), "was cut short to 100 of"),
     (lambda path: (path.with_suffix(".new").write_text("x"), os.replace(path.with_suffix(".new"), path)),
@@ -50,7 +50,7 @@ def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, m
 def test_a_run_file_that_is_taken_away_stops_the_motor(tmp_path: Path, mocks: list[MockRig], act: Any, said: str
                                                        ) -> None:
     path = tmp_path / "r.mcap"
-    when: list[int] = []
+    when = []
     def strike() -> None:
         when.append(time.monotonic_ns())
         act(path)

@@ -33,7 +33,7 @@ CELLS = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "moment", "said"), CELLS)
+@pytest.mark.parametrize("fault, moment, said", CELLS)
 def test_torque_ends_in_time_and_the_fault_is_named(tmp_path: Path, fault: str, moment: str, said: str) -> None:
     outcome = strike(fault, moment, tmp_path)
     assert outcome.zero_ms <= TARGET_MS, outcome

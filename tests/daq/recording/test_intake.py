@@ -1,7 +1,5 @@
 """What the recorder makes of the leg controller's answers."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, cast

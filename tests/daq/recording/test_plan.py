@@ -29,7 +29,7 @@ def test_commands_are_due_from_the_first_on() -> None:
     assert plan.offset_ns == [0, 10_000_000, 500_000_000]
 
 
-@pytest.mark.parametrize(("text", "said"), [
+@pytest.mark.parametrize("text, said", [
     ("time_s,torque\n0,1\n1,2\n", "column tau2_cmd_nm is missing"),
     ("tau2_cmd_nm\n1\n2\n", "column time_s is missing"),
     ("time_s,tau2_cmd_nm\n0,1\n1,much\n", "line 3, column tau2_cmd_nm: 'much' is not a number"),
@@ -43,7 +43,7 @@ def test_a_faulty_plan_is_refused_like_a_run(tmp_path: Path, text: str, said: st
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("time_s", "torque"), [([0.0], [1.0]), ([0, 1], [1.0]), ([1, 0], [1, 1]),
+@pytest.mark.parametrize("time_s, torque", [([0.0], [1.0]), ([0, 1], [1.0]), ([1, 0], [1, 1]),
                                                 ([0, 1], [1, np.nan]), ([0, np.inf], [1, 1])])
 def test_a_plan_made_in_code_is_checked_too(time_s: list[float], torque: list[float]) -> None:
     with pytest.raises(ValueError):
@@ -57,7 +57,7 @@ CONTROLLER: Any = SimpleNamespace(hello=Hello(1, 1, 500, 50.0, 2.0, 1000))
 """As far as a plan's check looks."""
 
 
-@pytest.mark.parametrize(("time_s", "torque", "said"), [
+@pytest.mark.parametrize("time_s, torque, said", [
     (np.arange(0, 1, 0.01), np.where(np.arange(100) % 20 < 10, 2.0, -2.0), r"changes by 400 N m/s, limits\.slew_nmps"),
     (np.arange(0, 1, 0.5), np.array([1.8, 0.0]), r"changes by 180 N m/s"),  # from zero at the start
     (np.arange(0, 0.1, 0.001), np.minimum(0.4 * np.arange(100), 1.9), r"changes by 190 N m/s"),  # steep, in 1 ms steps

@@ -50,7 +50,7 @@ def swing(t: float) -> float:
     return 0.6 * math.sin(8 * t)
 
 
-@pytest.mark.parametrize(("torque", "knee"), [
+@pytest.mark.parametrize("torque, knee", [
     (lambda t: 0.0, lambda t: 0.2),  # zero plan, standing leg: nothing changes but noise
     (lambda t: 0.05, lambda t: 0.2),  # a slow plan against friction
     (swing, lambda t: 1.2 * math.sin(8 * t)), (lambda t: 1.5 if t % 1.0 > 0.5 else -1.5, lambda t: 0.5 * t)])
@@ -59,7 +59,7 @@ def test_a_true_leg_is_believed(torque, knee) -> None:
 
 
 def test_losses_doubles_and_late_frames_are_believed() -> None:
-    kept: list[Telemetry] = []
+    kept = []
 
     def bad_wire(t: float, frame: Telemetry) -> Telemetry | None:
         kept.append(frame)
@@ -83,9 +83,9 @@ LIES = [
 ]
 
 
-@pytest.mark.parametrize(("check", "lie", "within_s"), LIES)
+@pytest.mark.parametrize("check, lie, within_s", LIES)
 def test_impossible_readings_are_flagged_in_time(check: str, lie, within_s: float) -> None:
-    then: list[Telemetry] = []
+    then = []
 
     def told(t: float, frame: Telemetry) -> Telemetry:
         if t < STRUCK_S:

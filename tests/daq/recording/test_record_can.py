@@ -14,6 +14,7 @@ from drivers.can_codec import CanCodec
 from drivers.mock import CanServer, MockRig
 from experiments.cli import main
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Shell
 from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
@@ -44,13 +45,13 @@ def record(folder: Path) -> int:
                  str(folder / "run.mcap")])
 
 
-def test_record_over_can(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_over_can(folder: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     channel = f"legid-record-{os.getpid()}"
     (folder / "rig.toml").write_text(RIG.format(interface="virtual", channel=channel))
     mock = MockRig(StillPlant(), codec=lambda: CanCodec(3))
     monkeypatch.setattr("experiments.rig.devices.open_bus", lambda path: mock.imu)
     with CanServer(mock.firmware, can.Bus(interface="virtual", channel=channel), mock.clock):
-        assert record(folder) == 0, capsys.readouterr().err
+        assert record(folder) == 0, shell.err
     raw = read_run(folder / "run.mcap")
     telemetry = raw.streams["/leg/telemetry"]
     assert raw.complete
@@ -62,16 +63,16 @@ def test_record_over_can(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert mock.firmware.drive.state == State.DISARMED
 
 
-def test_a_bus_that_is_not_there_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bus_that_is_not_there_is_one_line(folder: Path, shell: Shell) -> None:
     (folder / "rig.toml").write_text(RIG.format(interface="socketcan", channel="nocan7"))
     assert record(folder) == 1
-    words = capsys.readouterr().err
+    words = shell.err
     assert words.count("\n") == 1
     assert "leg controller on CAN nocan7" in words
     assert not (folder / "run.mcap").exists()
 
 
-def test_a_node_that_does_not_exist_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_node_that_does_not_exist_is_bad_input(folder: Path, shell: Shell) -> None:
     (folder / "rig.toml").write_text(RIG.format(interface="virtual", channel="x").replace("node = 3", "node = 64"))
     assert record(folder) == 2
-    assert "node" in capsys.readouterr().err
+    assert "node" in shell.err

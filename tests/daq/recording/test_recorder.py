@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 import threading
 import time
@@ -23,9 +24,13 @@ from tests.support.sensor_bench import RigBench
 from tests.support.still_plant import StillPlant, StillState
 
 
-def test_a_plan_is_commanded_and_recorded_whole(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
-    seen: list[tuple[float, float]] = []
+@pytest.fixture
+def b(tmp_path: Path) -> RigBench:
+    return RigBench(tmp_path / "r.mcap")
+
+
+def test_a_plan_is_commanded_and_recorded_whole(b: RigBench) -> None:
+    seen = []
     report = b.record(sine(), on_progress=lambda now, total: seen.append((now, total)))
     raw = read_run(b.path)
     assert raw.complete
@@ -51,8 +56,7 @@ def test_a_plan_is_commanded_and_recorded_whole(tmp_path: Path) -> None:
     assert not load_run(b.path, parse_rig(RIG)).gap().any()
 
 
-def test_the_motor_gets_the_planned_torque_and_none_before_or_after(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_the_motor_gets_the_planned_torque_and_none_before_or_after(b: RigBench) -> None:
     b.record(sine())
     t_ns, commanded, _ = b.mock.firmware.motor.record
     start = read_run(b.path).events[0].host_ns
@@ -64,15 +68,14 @@ def test_the_motor_gets_the_planned_torque_and_none_before_or_after(tmp_path: Pa
     assert np.abs(commanded[inside] - lag).max() < 0.05
 
 
-def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_slow_plans_keep_the_watchdog_fed(b: RigBench) -> None:
     report = b.record(Plan(np.array([0.0, 0.5, 1.0]), np.array([0.1, 0.2, 0.0])))
     assert report.commands > 1.5 / 0.1
     _, commanded, _ = b.mock.firmware.motor.record
     assert set(np.round(commanded, 6)) == {0.0, 0.1, 0.2}
 
 
-@pytest.mark.parametrize(("plant", "limits", "named", "firmware"), [
+@pytest.mark.parametrize("plant, limits, named, firmware", [
     (Turning(2.0, 3.0), "q2_rad = 0.5\n", "q2_rad", {}),
     (Turning(2.0, 8.0), "speed_radps = 5.0\n", "speed_radps", {}),
     (StillPlant(StillState(q1=1.0)), "q1_rad = 0.9\n", "q1_rad", {}),
@@ -91,8 +94,7 @@ def test_a_limit_stops_the_run_and_is_named(tmp_path: Path, plant: Any, limits: 
     assert raw.streams["/leg/telemetry"].size > 0
 
 
-def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(b: RigBench) -> None:
     hot = at(0.5, lambda: setattr(b.mock.firmware, "motor_degc", 75.0))
     line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, 0.4)), on_progress=hot)
     assert "temperature_degc" in line
@@ -106,7 +108,7 @@ def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
     assert np.abs(np.diff(commanded)).max() < 0.41
 
 
-@pytest.mark.parametrize(("torque_nm", "at_once"), [(0.4, True), (-0.4, False)])
+@pytest.mark.parametrize("torque_nm, at_once", [(0.4, True), (-0.4, False)])
 def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path, torque_nm: float, at_once: bool
                                                                   ) -> None:
     b = RigBench(tmp_path / "r.mcap", Turning(2.0, 3.0))
@@ -119,26 +121,19 @@ def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path
     assert (after == 0) is at_once
 
 
-def test_an_imu_that_falls_silent_trips_staleness(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
-    line, raw = b.fails(sine(), on_progress=at(0.5, lambda: setattr(b.mock.imu, "push", lambda raw: None)))
-    assert line.startswith("limit staleness_s tripped: silence of the IMU")
+@pytest.mark.parametrize("strike, said", [
+    (lambda b: setattr(b.mock.imu, "push", lambda raw: None), "limit staleness_s tripped: silence of the IMU"),
+    (lambda b: setattr(b.link, "read", lambda: (b.clock.sleep(0.001), b"")[1]),
+     "limit staleness_s tripped: silence of the leg controller"),
+    (lambda b: setattr(b.mock.firmware, "knee_encoder_ok", False), ".*knee")],
+    ids=["IMU", "controller", "knee encoder"])
+def test_a_device_that_falls_silent_or_is_faulty_is_named(b: RigBench, strike: Any, said: str) -> None:
+    line, raw = b.fails(sine(), on_progress=at(0.5, lambda: strike(b)))
+    assert re.match(said, line) and raw.complete
     assert raw.streams["/imu"].size > 200
 
 
-def test_a_controller_that_falls_silent_trips_staleness(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
-
-    def hear_nothing() -> bytes:
-        b.clock.sleep(0.001)
-        return b""
-
-    line, _ = b.fails(sine(), on_progress=at(0.5, lambda: setattr(b.link, "read", hear_nothing)))
-    assert line.startswith("limit staleness_s tripped: silence of the leg controller")
-
-
-def test_a_pulled_cable_is_said_and_the_run_kept(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_a_pulled_cable_is_said_and_the_run_kept(b: RigBench) -> None:
     line, raw = b.fails(sine(), on_progress=at(0.5, b.link.unplug))
     assert "connection is gone" in line
     assert raw.complete
@@ -147,8 +142,7 @@ def test_a_pulled_cable_is_said_and_the_run_kept(tmp_path: Path) -> None:
         b.controller.stop()
 
 
-def test_a_reboot_of_the_controller_ends_the_run(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_a_reboot_of_the_controller_ends_the_run(b: RigBench) -> None:
     line, raw = b.fails(sine(), on_progress=at(0.7, b.mock.firmware.reboot))
     assert "restarted during the run" in line
     assert "reboot" in [e.kind for e in raw.events]
@@ -156,23 +150,14 @@ def test_a_reboot_of_the_controller_ends_the_run(tmp_path: Path) -> None:
     assert len(load_run(b.path, parse_rig(RIG))) > 100
 
 
-def test_a_firmware_fault_is_named(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
-    line, raw = b.fails(sine(), on_progress=at(0.5, lambda: setattr(b.mock.firmware, "knee_encoder_ok", False)))
-    assert "knee" in line
-    assert raw.complete
-
-
-def test_a_bus_error_is_a_gap_not_the_end(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_a_bus_error_is_a_gap_not_the_end(b: RigBench) -> None:
     b.record(sine(), on_progress=at(0.5, lambda: b.mock.imu.fail(121, times=4)))
     raw = read_run(b.path)
     assert "imu gap" in [e.kind for e in raw.events]
     assert raw.streams["/imu"]["gap_before"].sum() >= 1
 
 
-def test_a_plan_beyond_the_limits_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_a_plan_beyond_the_limits_is_refused_before_a_file_is_made(b: RigBench) -> None:
     with pytest.raises(InputError, match=r"plan: asks for 0\.5 N m, limits\.torque_nm of the rig is 0\.4"):
         b.record(sine(), "torque_nm = 0.4\n")
     with pytest.raises(InputError, match="the firmware's limit is 2 N m"):
@@ -180,8 +165,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_a_file_is_made(tmp_path: Pat
     assert not b.path.exists()
 
 
-def test_a_failure_of_the_program_itself_stops_the_motor_too(tmp_path: Path) -> None:
-    b = RigBench(tmp_path / "r.mcap")
+def test_a_failure_of_the_program_itself_stops_the_motor_too(b: RigBench) -> None:
     with pytest.raises(ZeroDivisionError):
         b.record(sine(), on_progress=at(0.5, lambda: 1 / 0))
     b.clock.sleep(0.01)
@@ -210,7 +194,7 @@ def test_threads_record_the_same_on_the_real_clock(tmp_path: Path) -> None:
 
 
 @REAL_CLOCK
-@pytest.mark.parametrize(("number", "said"), [
+@pytest.mark.parametrize("number, said", [
     (signal.SIGINT, "stopped by Ctrl-C"), (signal.SIGTERM, "stopped by SIGTERM"),
     (signal.SIGHUP, "stopped by SIGHUP")])
 def test_signals_end_in_a_stop(tmp_path: Path, number: int, said: str) -> None:

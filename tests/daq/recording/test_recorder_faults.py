@@ -24,6 +24,7 @@ from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 from tests.support.recordings import threaded
 from tests.support.runs import load_run
+from tests.support.still_plant import MovingPlant
 
 pytestmark = REAL_CLOCK
 
@@ -36,16 +37,10 @@ GYRO_S = 1.0 / (2.0 * math.pi * 100.0)
 FULL = r"r\.mcap: cannot be written \(No space left on device\); free space on the disk"
 
 
-class Swing:
+def swing(t: float) -> SimpleNamespace:
     """q2 = sin(3t) and q1d = cos(2t), so that every value of a Dataset can be checked against its time."""
-
-    def __init__(self) -> None:
-        self.t = 0.0
-
-    def step(self, dt_s: float, torque_nm: float) -> SimpleNamespace:
-        self.t += dt_s
-        return SimpleNamespace(q1=0.5 * math.sin(2 * self.t), q2=math.sin(3 * self.t), q1d=math.cos(2 * self.t),
-                               q2d=3 * math.cos(3 * self.t), q1dd=-2 * math.sin(2 * self.t))
+    return SimpleNamespace(q1=0.5 * math.sin(2 * t), q2=math.sin(3 * t), q1d=math.cos(2 * t), q2d=3 * math.cos(3 * t),
+                           q1dd=-2 * math.sin(2 * t))
 
 
 class Bench:
@@ -55,7 +50,7 @@ class Bench:
         self.clock = VirtualClock()
         settings = FirmwareSettings(telemetry_hz=1000, current_noise_a=0.0, encoder_counts=10**7)
         quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0)
-        self.mock = MockRig(Swing(), self.clock, quiet, settings, codec=CanCodec if can else Decoder)
+        self.mock = MockRig(MovingPlant(swing), self.clock, quiet, settings, codec=CanCodec if can else Decoder)
         self.start_ns = self.clock.now_ns()
         inner = EmulatorLink(self.mock.firmware, self.clock, nothing=() if can else b"")
         self.link = FaultyLink(inner, self.clock, FaultyWire(wire, np.random.default_rng(3)))
@@ -85,7 +80,7 @@ def check_truth(bench: Bench, path: Path) -> np.ndarray:
 
 def test_losses_on_the_wire_and_the_bus_are_holes_and_never_values(tmp_path: Path) -> None:
     bench = Bench()
-    seen: set[str] = set()
+    seen = set()
 
     def once(name: str, when: bool, act) -> None:
         if when and name not in seen:

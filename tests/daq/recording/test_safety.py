@@ -85,12 +85,18 @@ class Recording:
         _, said = self.child.communicate(timeout=60)
         return self.child.returncode, said
 
+    def failed(self) -> str:
+        """What was said by one that failed."""
+        status, words = self.ended()
+        assert status == 1
+        return words
+
     def off(self) -> Change:
         """The firmware's change to a state other than ARMED."""
         return self.firmware.record_until(lambda change: change.state != State.ARMED)[-1]
 
 
-@pytest.mark.parametrize(("number", "said"), [
+@pytest.mark.parametrize("number, said", [
     (signal.SIGINT, "stopped by Ctrl-C"), (signal.SIGTERM, "stopped by SIGTERM"), (signal.SIGHUP, "by SIGHUP")])
 def test_signals_ramp_down_and_stop(firmware: Served, tmp_path: Path, number: int, said: str) -> None:
     recording = Recording(firmware, tmp_path, 1000)
@@ -98,8 +104,7 @@ def test_signals_ramp_down_and_stop(firmware: Served, tmp_path: Path, number: in
     recording.child.send_signal(number)
     end = recording.off()
     assert (end.state, end.torque_unm, end.faults) == (State.DISARMED, 0, 0)
-    status, words = recording.ended()
-    assert status == 1
+    words = recording.failed()
     assert said in words
     assert "internal error" not in words
     # ramped down first, then disarmed; the last zero and the stop may reach the firmware in one chunk
@@ -131,12 +136,11 @@ def test_a_process_that_hangs_is_stopped_by_the_watchdog(firmware: Served, tmp_p
     recording.child.send_signal(signal.SIGCONT)
     assert (end.torque_unm, end.faults) == (0, Fault.WATCHDOG)
     assert 400_000_000 <= end.value <= 400_500_000
-    status, words = recording.ended()
-    assert status == 1
+    words = recording.failed()
     assert "watchdog" in words or "disarmed" in words or "limit" in words
 
 
-@pytest.mark.parametrize(("module", "cls", "method"), [
+@pytest.mark.parametrize("module, cls, method", [
     ("daq.recording.intake", "ControllerIntake", "poll"), ("daq.runs.mcap_run", "RunWriter", "add"),
     ("daq.recording.supervisor", "Supervisor", "check"), ("drivers.leg_controller", "LegController", "ping")],
     ids=["reader thread", "writer thread", "main thread", "clock probes"])
@@ -146,8 +150,7 @@ def test_a_crash_of_any_thread_stops_the_motor(firmware: Served, tmp_path: Path,
     recording = Recording(firmware, tmp_path, 1000, program=program)
     end = recording.off()
     assert (end.state, end.torque_unm, end.faults) == (State.DISARMED, 0, 0)  # stopped, not left to the watchdog
-    status, words = recording.ended()
-    assert status == 1
+    words = recording.failed()
     assert "crashed on purpose" in words
     assert "Traceback" not in words
     raw = read_run(recording.run)
@@ -157,8 +160,7 @@ def test_a_crash_of_any_thread_stops_the_motor(firmware: Served, tmp_path: Path,
 
 def test_the_limit_that_acted_is_named_to_the_user_and_in_the_file(firmware: Served, tmp_path: Path) -> None:
     recording = Recording(firmware, tmp_path, 1000, "temperature_degc = 20.0\n")  # the motor has 25
-    status, words = recording.ended()
-    assert status == 1
+    words = recording.failed()
     assert "limit temperature_degc tripped: motor temperature in degC is 25, allowed is 20" in words
     raw = read_run(recording.run)
     assert raw.complete

@@ -62,7 +62,7 @@ def test_times_are_right(tmp_path: Path) -> None:
     assert abs(late_s) < data.clock_bound_s and 1e-4 < data.clock_bound_s < 1e-3
 
 
-@pytest.mark.parametrize(("fault", "line"), [
+@pytest.mark.parametrize("fault, line", [
     (lambda b: setattr(b.mock.pivot, "status", 0), "limit q1_rad tripped: pivot angle in rad cannot be checked"),
     (lambda b: b.mock.pivot.fail(121, 9), "AS5600 at 0x36: no acknowledge; check wiring"),
     (lambda b: b.mock.pivot.brown_out(), "AS5600 at 0x36: register CONF reads 0x0000 after 0x0300"),

@@ -23,10 +23,9 @@ def test_at_the_bound_nothing_trips() -> None:
     assert Supervisor(LIMITS).check(WITHIN) is None
 
 
-@pytest.mark.parametrize(("field", "limit", "value"), CASES)
+@pytest.mark.parametrize("field, limit, value", CASES)
 def test_beyond_it_the_limit_is_named(field: str, limit: str, value: float) -> None:
     trip = Supervisor(LIMITS).check(WITHIN._replace(**{field: value}))
-    assert trip is not None
     assert (trip.limit, trip.value, trip.bound) == (limit, value, getattr(LIMITS, limit))
     assert f"limit {limit} tripped" in str(trip)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from daq import Dataset, InputError, Rig, parse_rig
 from daq.runs import read_csv, write_csv
@@ -19,6 +20,10 @@ NAMES = ["time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_m
 
 def rig(model: str, actuated: str, more: str = "") -> Rig:
     return parse_rig(f'[mechanism]\nmodel = "{model}"\nactuated = {actuated}\n{more}')
+
+
+JOINT, VOLTS = rig("joint1", "[1]"), rig("joint1", "[1]", 'input = "voltage"\n')
+BIPED = rig("biped3", "[2, 3]")
 
 
 def rows(count: int = 60, names: list[str] = NAMES) -> list[list[str]]:
@@ -41,8 +46,8 @@ def test_numbers_come_through_exactly(tmp_path: Path) -> None:
     table = read_csv(put(tmp_path / "r.csv", rows()), LEG)
     assert table.name == "r.csv"
     assert list(table.columns) == NAMES[1:]
-    np.testing.assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
-    np.testing.assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
+    assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
+    assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
 
 
 @pytest.mark.parametrize("change", [
@@ -54,10 +59,10 @@ def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
     path = put(tmp_path / "r.csv", rows())
     want = read_csv(path).columns["q2_rad"]
     path.write_bytes(change(path.read_text()).encode())
-    np.testing.assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
+    assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
 
 
-@pytest.mark.parametrize(("line", "column", "cell", "words"), [
+@pytest.mark.parametrize("line, column, cell, words", [
     (31, "tau2_nm", "off", "'off' is not a number"), (31, "gyro_radps", "nan", "NaN"), (60, "q2_rad", "", "empty"),
     (2, "accel_y_mps2", "-inf", "infinite"), (61, "time_s", "1e999", "infinite"), (5, "q2_rad", "1_0", "not a number"),
 ])
@@ -77,7 +82,7 @@ def test_blank_lines_do_not_shift_the_line_named(tmp_path: Path) -> None:
     assert "line 44, column tau2_nm" in refusal(path)
 
 
-@pytest.mark.parametrize(("value", "words"), [("0.100", "repeats"), ("0.050", "backwards")])
+@pytest.mark.parametrize("value, words", [("0.100", "repeats"), ("0.050", "backwards")])
 def test_time_must_increase(tmp_path: Path, value: str, words: str) -> None:
     cells = rows()
     cells[11][0] = value
@@ -140,35 +145,33 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "b.csv, line 2: is not UTF-8" in refusal(tmp_path / "b.csv")
 
 
-@pytest.mark.parametrize(("rig_", "names", "column"), [
-    (LEG, NAMES[1:], "time_s"), (LEG, ["time_s", "tau2_nm", "q1_rad"], "q2_rad"),
-    (LEG, ["time_s", "q2_rad", "q1_rad"], "tau2_nm"), (LEG, ["time_s", "q2_rad", "tau2_nm"], "q1_rad"),
-    (LEG, NAMES[:5], "accel_y_mps2"), (rig("leg2", "[1, 2]"), NAMES, "tau1_nm"),
-    (rig("leg2", "[1]"), ["time_s", "q2_rad", "q1_rad", "tau1_nm"], "tau2_nm"),
-    (rig("joint1", "[1]"), ["time_s", "tau1_nm"], "q1_rad"), (rig("joint1", "[1]"), ["time_s", "q1_rad"], "tau1_nm"),
-    (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_nm"], "tau1_n"),
-    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "volts"], "duty"),
-    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "tau2_nm", "tau3_nm"], "q3_rad"),
-    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau2_nm"], "tau3_nm"),
-    (rig("chain", "[4]", "links = 4\n"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "q4_rad"], "tau4_nm"),
-])
-def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: list[str], column: str) -> None:
-    assert f"line 1: column {column} is missing" in refusal(put(tmp_path / "r.csv", rows(60, names), names), rig_)
+@pytest.mark.parametrize("rig_, names, column", [
+    (LEG, "q2_rad tau2_nm gyro_radps accel_x_mps2 accel_y_mps2", "time_s"), (LEG, "time_s tau2_nm q1_rad", "q2_rad"),
+    (LEG, "time_s q2_rad q1_rad", "tau2_nm"), (LEG, "time_s q2_rad tau2_nm", "q1_rad"),
+    (LEG, "time_s q2_rad tau2_nm gyro_radps accel_x_mps2", "accel_y_mps2"),
+    (rig("leg2", "[1, 2]"), " ".join(NAMES), "tau1_nm"),
+    (rig("leg2", "[1]"), "time_s q2_rad q1_rad tau1_nm", "tau2_nm"), (JOINT, "time_s tau1_nm", "q1_rad"),
+    (JOINT, "time_s q1_rad", "tau1_nm"), (JOINT, "time_s q1_m tau1_nm", "tau1_n"),
+    (VOLTS, "time_s q1_rad volts", "duty"), (BIPED, "time_s q1_rad q2_rad tau2_nm tau3_nm", "q3_rad"),
+    (BIPED, "time_s q1_rad q2_rad q3_rad tau2_nm", "tau3_nm"),
+    (rig("chain", "[4]", "links = 4\n"), "time_s q1_rad q2_rad q3_rad q4_rad", "tau4_nm")])
+def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: str, column: str) -> None:
+    path = put(tmp_path / "r.csv", rows(60, names.split()), names.split())
+    assert f"line 1: column {column} is missing" in refusal(path, rig_)
 
 
-@pytest.mark.parametrize(("rig_", "names"), [
-    (LEG, ["time_s", "q2_rad", "tau2_nm", "q1_rad"]), (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_n"]),
-    (rig("joint1", "[]"), ["time_s", "q1_rad"]), (rig("leg2", "[]"), ["time_s", "q2_rad", "q1_rad"]),
-    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "duty", "volts"]),
-    (rig("biped3", "[3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau3_nm"]),
-])
-def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: list[str]) -> None:
-    assert set(read_csv(put(tmp_path / "r.csv", rows(60, names), names), rig_).columns) == set(names[1:])
+@pytest.mark.parametrize("rig_, names", [
+    (LEG, "time_s q2_rad tau2_nm q1_rad"), (JOINT, "time_s q1_m tau1_n"), (rig("joint1", "[]"), "time_s q1_rad"),
+    (rig("leg2", "[]"), "time_s q2_rad q1_rad"), (VOLTS, "time_s q1_rad duty volts"),
+    (rig("biped3", "[3]"), "time_s q1_rad q2_rad q3_rad tau3_nm")])
+def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: str) -> None:
+    found = read_csv(put(tmp_path / "r.csv", rows(60, names.split()), names.split()), rig_)
+    assert {"time_s", *found.columns} == set(names.split())
 
 
 def test_a_servo_by_voltage_is_told_so(tmp_path: Path) -> None:
     names = ["time_s", "q1_rad", "duty", "volts"]
-    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), rig("joint1", "[1]"))
+    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), JOINT)
     assert 'input = "voltage"' in said
 
 
@@ -176,7 +179,7 @@ def test_extra_columns_are_kept_and_text_in_them_harms_nobody(tmp_path: Path) ->
     names = [*NAMES, "battery_v", "note"]
     cells = [[*line[:-1], "up" if i % 2 else ""] for i, line in enumerate(rows(60, names))]
     table = read_csv(put(tmp_path / "r.csv", cells, names), LEG)
-    np.testing.assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
+    assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
     assert "note" not in table.columns
     assert table.ignored == ("note",)
     cells[3][6] = "nan"
@@ -194,7 +197,7 @@ def test_sixty_thousand_rows_are_read_at_once(tmp_path: Path) -> None:
     start = time.process_time()
     got = read_csv(tmp_path / "r.csv", LEG)
     assert time.process_time() - start < 2.0  # processor time, some 0.1 s on an idle core
-    np.testing.assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
+    assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
@@ -209,17 +212,17 @@ def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> 
     again = load_run(tmp_path / name, LEG)
     assert "q1_rad" not in again
     assert again.rate_hz == 100.0
-    np.testing.assert_allclose(again.time_s, run.time_s, atol=2e-9)
-    np.testing.assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
+    assert_allclose(again.time_s, run.time_s, atol=2e-9)
+    assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
     for column in NAMES[1:]:
         kept = ~again.gap()
-        np.testing.assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
+        assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
     with pytest.raises(InputError, match="No such file"):
         write_csv(run, tmp_path / "nowhere" / name)
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="real data sets are not on this machine")
-@pytest.mark.parametrize(("folder", "file", "rig_file", "samples"), [
+@pytest.mark.parametrize("folder, file, rig_file, samples", [
     ("dfki_c0", "03_passive.csv.gz", "rig_passive.toml", 5000), ("dfki_a0", "12.csv.gz", "rig.toml", 5000),
     ("multiarm", "free_swing.csv.gz", "rig.toml", 53340), ("emps", "estimation.csv.gz", "rig.toml", 24841),
 ])

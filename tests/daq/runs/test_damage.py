@@ -16,9 +16,9 @@ CHUNKS, EACH = 4, FLUSH_MESSAGES
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def whole(module_path: Path) -> bytes:
     """Four chunks of IMU samples."""
-    path = tmp_path_factory.mktemp("run") / "r.mcap"
+    path = module_path / "r.mcap"
     writer = RunWriter(path, {"rig.toml": "lever_arm_m = 0.2"}, {"a": "b"})
     for i in range(CHUNKS * EACH):
         writer.add("/imu", i, i, i + 9, i, 1, 2, 3, 4, 5, 6, 0)
@@ -64,7 +64,7 @@ def rig_broken(data: bytes) -> bytes:
     return data.replace(b"lever_arm_m = 0.2", b"lever_arm_m = 0.3")
 
 
-CASES: dict[str, tuple[Callable[[bytes], bytes], int, str, bool]] = {
+CASES = {
     "removed": (without_second, 3 * EACH, f"{EACH} of {4 * EACH} messages are missing", True),
     "doubled": (second_twice, 5 * EACH, f"{EACH} IMU samples are there twice", True),
     "broken": (second_broken, 3 * EACH, "1 damaged chunks left out", True),

@@ -95,7 +95,7 @@ def test_a_run_is_never_overwritten(tmp_path: Path) -> None:
         RunWriter(tmp_path / "nowhere" / "r.mcap", {})
 
 
-@pytest.mark.parametrize(("data", "said"), [(b"", "is empty"), (b"time_s,q2_rad\n0,1\n", "is not an MCAP file"),
+@pytest.mark.parametrize("data, said", [(b"", "is empty"), (b"time_s,q2_rad\n0,1\n", "is not an MCAP file"),
                                             (b"\x89MC", "is not an MCAP file")])
 def test_what_is_no_run_file_is_refused(tmp_path: Path, data: bytes, said: str) -> None:
     (tmp_path / "r.mcap").write_bytes(data)

@@ -14,8 +14,8 @@ from daq.runs import RunWriter, read_run, recover
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("run") / "r.mcap"
+def whole(module_path: Path) -> bytes:
+    path = module_path / "r.mcap"
     writer = RunWriter(path, {"rig.toml": "abc"}, {"a": "b"})
     for i in range(6):
         writer.add("/leg/command", i, i, 0.25 * i, i)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from daq import Dataset, InputError, parse_rig
 from daq.recording import Plan, record_run
@@ -15,6 +16,7 @@ from daq.timing.resample import snapped_times
 from drivers import LegController, Lsm9ds1
 from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
 from tests.support.runs import load_run
+from tests.support.still_plant import MovingPlant
 
 
 def table(time_s: np.ndarray, **columns: np.ndarray) -> RawTable:
@@ -26,17 +28,17 @@ def test_samples_on_the_grid_are_taken_as_they_are() -> None:
     t = 3.0 + np.arange(500) / 200.0
     values = rng.normal(size=500)
     run = align_table(table(t + rng.uniform(-0.4e-2, 0.4e-2, 500) / 200.0, q2_rad=values), 200.0)
-    np.testing.assert_array_equal(run["q2_rad"], values)
-    np.testing.assert_allclose(np.diff(run.time_s), 0.005, rtol=1e-9)
+    assert_array_equal(run["q2_rad"], values)
+    assert_allclose(np.diff(run.time_s), 0.005, rtol=1e-9)
 
 
 def test_an_oscillator_100_ppm_off_is_not_resampled_and_a_thousandth_is() -> None:
     values = np.random.default_rng(1).normal(size=5000)
     index = np.arange(5000)
-    np.testing.assert_array_equal(align_table(table(index * 1.00005e-3, q=values), 1000.0)["q"], values)
+    assert_array_equal(align_table(table(index * 1.00005e-3, q=values), 1000.0)["q"], values)
     assert not np.array_equal(align_table(table(index * 1.001e-3, q=values), 1000.0)["q"][:5000], values)
     jittered = index * 1e-3 + np.random.default_rng(2).uniform(-5e-5, 5e-5, 5000)
-    np.testing.assert_array_equal(snapped_times(jittered, 1000.0), jittered)
+    assert_array_equal(snapped_times(jittered, 1000.0), jittered)
 
 
 def test_jittered_samples_of_the_grids_rate_are_splined() -> None:
@@ -44,7 +46,7 @@ def test_jittered_samples_of_the_grids_rate_are_splined() -> None:
     t = np.cumsum(rng.uniform(0.6, 1.4, 1000)) * 0.01
     run = align_table(table(t, q=np.sin(2 * np.pi * 2.0 * t)), 100.0)
     inner = slice(5, -5)
-    np.testing.assert_allclose(run["q"][inner], np.sin(2 * np.pi * 2.0 * run.time_s)[inner], atol=3e-4)
+    assert_allclose(run["q"][inner], np.sin(2 * np.pi * 2.0 * run.time_s)[inner], atol=3e-4)
     assert not run.gap().any()
 
 
@@ -63,9 +65,9 @@ def test_fast_samples_are_averaged_over_the_centred_window() -> None:
     w, d = 2 * np.pi * 8.0, 0.01
     run = align_table(table(t, q2_rad=np.sin(w * t), tau2_nm=np.cos(w * t), line=3.0 * t), 100.0)
     shrink = math.sin(w * d / 2) / (w * d / 2)
-    np.testing.assert_allclose(run["q2_rad"], shrink * np.sin(w * run.time_s), atol=1e-5)
-    np.testing.assert_allclose(run["tau2_nm"], shrink * np.cos(w * run.time_s), atol=1e-5)
-    np.testing.assert_allclose(run["line"], 3.0 * run.time_s, rtol=1e-12)
+    assert_allclose(run["q2_rad"], shrink * np.sin(w * run.time_s), atol=1e-5)
+    assert_allclose(run["tau2_nm"], shrink * np.cos(w * run.time_s), atol=1e-5)
+    assert_allclose(run["line"], 3.0 * run.time_s, rtol=1e-12)
 
 
 def test_the_window_mean_integrates_straight_lines_exactly() -> None:
@@ -91,18 +93,18 @@ def test_channels_of_different_rates_carry_the_same_filter() -> None:
     channels = [TimedColumns(fast, {"a": np.sin(w * fast)}), TimedColumns(slow, {"b": np.sin(w * slow)})]
     run = align_channels("r", channels, 100.0)
     inner = slice(5, -5)
-    np.testing.assert_allclose(run["a"][inner], run["b"][inner], atol=5e-4)
+    assert_allclose(run["a"][inner], run["b"][inner], atol=5e-4)
     assert run.time_s[0] >= 0.0013 + 0.005
 
 
-@pytest.mark.parametrize(("missing", "stays"), [(1, False), (2, True), (30, True)])
+@pytest.mark.parametrize("missing, stays", [(1, False), (2, True), (30, True)])
 def test_holes_longer_than_two_and_a_half_periods_stay_holes(missing: int, stays: bool) -> None:
     t = np.arange(400) * 0.01
     kept = np.delete(np.arange(400), np.arange(200, 200 + missing))
     run = align_table(table(t[kept], q=np.sin(t[kept])), 100.0)
     want = np.arange(200, 200 + missing) if stays else np.empty(0)
-    np.testing.assert_array_equal(np.flatnonzero(run.gap()), want)
-    np.testing.assert_allclose(run["q"][~run.gap()], np.sin(run.time_s[~run.gap()]), atol=1e-9)
+    assert_array_equal(np.flatnonzero(run.gap()), want)
+    assert_allclose(run["q"][~run.gap()], np.sin(run.time_s[~run.gap()]), atol=1e-9)
 
 
 def test_a_hole_in_fast_samples_empties_every_window_that_touches_it() -> None:
@@ -112,7 +114,7 @@ def test_a_hole_in_fast_samples_empties_every_window_that_touches_it() -> None:
     gone = run.time_s[run.gap()]
     assert gone.size in (1, 2, 3)
     assert np.abs(gone - 4.0055).max() < 0.0105
-    np.testing.assert_allclose(run["q"][~run.gap()], run.time_s[~run.gap()], rtol=1e-12)
+    assert_allclose(run["q"][~run.gap()], run.time_s[~run.gap()], rtol=1e-12)
 
 
 def test_a_time_far_off_is_refused_before_it_fills_the_memory() -> None:
@@ -133,17 +135,10 @@ def test_milliseconds_taken_for_seconds_are_refused_before_anything_is_interpola
 A, W, B, V = 0.5, 2 * math.pi * 0.8, 0.7, 2 * math.pi * 1.1
 
 
-class Swing:
+def swing(t: float) -> SimpleNamespace:
     """Prescribed motion: q1 = A sin(Wt), q2 = B sin(Vt), t from the start of the physics."""
-
-    def __init__(self) -> None:
-        self.t = 0.0
-
-    def step(self, dt_s: float, torque_nm: float) -> SimpleNamespace:
-        self.t += dt_s
-        t = self.t
-        return SimpleNamespace(q1=A * math.sin(W * t), q1d=A * W * math.cos(W * t), q1dd=-A * W * W * math.sin(W * t),
-                               q2=B * math.sin(V * t), q2d=B * V * math.cos(V * t))
+    return SimpleNamespace(q1=A * math.sin(W * t), q1d=A * W * math.cos(W * t), q1dd=-A * W * W * math.sin(W * t),
+                           q2=B * math.sin(V * t), q2d=B * V * math.cos(V * t))
 
 
 MOUNT = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -166,11 +161,11 @@ accel_bias_mps2 = [0.1, 0.2, -0.1]
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MockRig, int]:
-    path = tmp_path_factory.mktemp("run") / "r.mcap"
+def recorded(module_path: Path) -> tuple[Path, MockRig, int]:
+    path = module_path / "r.mcap"
     clock = VirtualClock()
     start_ns = clock.now_ns()
-    rig = MockRig(Swing(), clock, ImuSettings(mount=MOUNT, gyro_bias_radps=(0.01, -0.02, 0.03),
+    rig = MockRig(MovingPlant(swing), clock, ImuSettings(mount=MOUNT, gyro_bias_radps=(0.01, -0.02, 0.03),
                                               accel_bias_mps2=(0.1, 0.2, -0.1), rate_error=-0.02),
                   FirmwareSettings(knee_zero_rad=0.3, shunt_offset_a=0.05, torque_constant_nm_per_a=0.8,
                                    first_tick_us=2**32 - 3_000_000), seed=3)
@@ -281,7 +276,7 @@ def test_a_reboot_in_mid_run_leaves_a_gap_and_keeps_the_time(tmp_path: Path) -> 
     run = load_run(tmp_path / "b.mcap", rig)
     epoch = 0.003
     here = ~run.gap()
-    np.testing.assert_allclose(run["q2_rad"][here], run.time_s[here] + epoch, atol=5e-6)
+    assert_allclose(run["q2_rad"][here], run.time_s[here] + epoch, atol=5e-6)
     hole = run.time_s[~here] + epoch
     assert hole.min() == pytest.approx(4.0, abs=0.02)
     assert hole.max() == pytest.approx(4.7, abs=0.02)

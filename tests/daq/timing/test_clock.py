@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from daq.runs.streams import CLOCK, IMU_STREAM
@@ -30,7 +31,7 @@ def tick(t: NDArray[np.float64], ppm: float, drift_ppm: float, seconds: float) -
     return np.floor((t * (1 + ppm * 1e-6) + 0.5e-6 * drift_ppm * t**2 / seconds) * 1e6).astype(np.int64)
 
 
-@pytest.mark.parametrize(("name", "delay_s", "jitter_s", "allowed_s"), [
+@pytest.mark.parametrize("name, delay_s, jitter_s, allowed_s", [
     ("USB serial", 0.5e-3, 0.3e-3, 150e-6), ("USB-ACM", 0.1e-3, 0.06e-3, 40e-6), ("CAN", 60e-6, 30e-6, 25e-6)])
 @pytest.mark.parametrize("seed", range(3))
 def test_ticks_of_five_minutes(name: str, delay_s: float, jitter_s: float, allowed_s: float, seed: int) -> None:
@@ -50,7 +51,7 @@ def test_ticks_wrap_and_arrivals_may_be_late() -> None:
     late = np.where(np.arange(601) % 7 == 0, 3e9, 0.0)
     ticks = (first + tick(t, -25.0, 0.0, 60.0)) % 2**32
     assert ticks.min() < 10**8 < 2**31 < ticks.max()
-    np.testing.assert_allclose(clock.host_ns(ticks, t * 1e9 + late) * 1e-9, t, atol=50e-6)
+    assert_allclose(clock.host_ns(ticks, t * 1e9 + late) * 1e-9, t, atol=50e-6)
 
 
 @pytest.mark.parametrize("seconds", [0.25, 0.6, 1.5, 5.0, 20.0])
@@ -62,13 +63,13 @@ def test_short_runs_stay_within_their_bound(seconds: float) -> None:
         assert np.abs(error).max() < clock.bound_s + 20e-6
 
 
-def drains(rng: np.random.Generator, seconds: float, rate_hz: float, warm_up: float = 0.0,
-           every_s: float = 0.0103) -> tuple[NDArray[np.void], NDArray[np.float64]]:
+def drains(rng: np.random.Generator, seconds: float, rate_hz: float, warm_up: float = 0.0
+           ) -> tuple[NDArray[np.void], NDArray[np.float64]]:
     """Samples of a chip whose rate sinks by the share `warm_up` within the first minutes, and their true times."""
     n = int(seconds * rate_hz)
     grid = np.arange(n) / rate_hz
     true = grid + warm_up * 60.0 * (grid / 60.0 - 1 + np.exp(-grid / 60.0)) + 1e-3
-    look = np.cumsum(rng.uniform(0.8, 1.2, int(seconds / every_s)) * every_s)
+    look = np.cumsum(rng.uniform(0.8, 1.2, int(seconds / 0.0103)) * 0.0103)
     look += np.where(rng.random(look.size) < 0.01, rng.uniform(0, 0.03, look.size), 0.0)
     look = np.unique(look)
     took = np.full(look.size, 90e-6) + np.where(rng.random(look.size) < 0.01, 3e-3, 0.0)
@@ -82,7 +83,7 @@ def drains(rng: np.random.Generator, seconds: float, rate_hz: float, warm_up: fl
     return out, true[kept]
 
 
-@pytest.mark.parametrize(("seconds", "rate", "warm_up", "allowed_s"), [
+@pytest.mark.parametrize("seconds, rate, warm_up, allowed_s", [
     (10.0, 241.0, 0.0, 150e-6), (60.0, 233.5, 0.0, 100e-6), (300.0, 241.0, 1e-3, 150e-6), (20.0, 961.0, 0.0, 100e-6)])
 def test_samples_are_timed_by_the_drains(seconds: float, rate: float, warm_up: float, allowed_s: float) -> None:
     samples, true = drains(np.random.default_rng(4), seconds, rate, warm_up)
@@ -100,7 +101,7 @@ def test_a_loss_of_unknown_length_starts_a_count_of_its_own() -> None:
     lost["index"][cut.start:] -= cut.stop - cut.start  # the driver cannot know how many went
     lost["gap_before"][cut.start] = 1
     clock = fit_samples(lost, EPOCH)
-    np.testing.assert_allclose(clock.time_ns * 1e-9, np.delete(true, cut), atol=200e-6)
+    assert_allclose(clock.time_ns * 1e-9, np.delete(true, cut), atol=200e-6)
 
 
 def test_a_short_segment_of_contradictory_drains_is_left_out() -> None:
@@ -115,7 +116,7 @@ def test_a_short_segment_of_contradictory_drains_is_left_out() -> None:
     clock = fit_samples(samples, EPOCH)
     assert np.isnan(clock.time_ns[first:last]).all()
     rest = np.delete(np.arange(true.size), np.arange(first, last))
-    np.testing.assert_allclose(clock.time_ns[rest] * 1e-9, true[rest], atol=clock.bound_s)
+    assert_allclose(clock.time_ns[rest] * 1e-9, true[rest], atol=clock.bound_s)
     assert clock.bound_s < 1e-3
 
 

@@ -32,7 +32,7 @@ def said(raw: RawRun) -> tuple[list[str], list[str]]:
             [str(flag) for flag in decode(raw, recorded_rig(raw)).flags if flag.kind == "clock"])
 
 
-@pytest.mark.parametrize(("kind", "which"), [
+@pytest.mark.parametrize("kind, which", [
     pytest.param(kind, which, marks=[] if (kind, which) in THIN else [pytest.mark.slow])
     for kind in KINDS for which in WHICH])
 def test_a_fault_of_the_clock_is_said_everywhere(kind: str, which: str, tmp_path: Path) -> None:

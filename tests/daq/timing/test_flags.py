@@ -85,7 +85,7 @@ def drains(rng: np.random.Generator, seconds: float, rate_hz: float, every_s: fl
     return out
 
 
-def test_repeated_samples_are_flagged_a_quiet_chip_is_not(tmp_path: Path) -> None:
+def test_repeated_samples_are_flagged_a_quiet_chip_is_not() -> None:
     rng = np.random.default_rng(3)
     quiet = np.rint(rng.normal(0.0, 0.8, (20_000, 6))).astype(np.int16)
     assert (np.diff(quiet, axis=0) == 0).all(axis=1).sum() > 5 and not _repeated(quiet)

@@ -3,24 +3,23 @@
 import numpy as np
 import pytest
 
-from daq import FloatArray
 from daq.timing import TimedColumns, align_channels
 from daq.timing.held_torque import commanded_torque, find_response, split_torque
 
 DELAY_S, LAG_S = 0.0006, 0.0011
-SENT_S: FloatArray = np.asarray(0.2 + np.arange(1000) * 0.01, float)
-SENT_NM: FloatArray = 0.5 * np.sin(2 * np.pi * 1.5 * SENT_S) + 0.2 * np.sin(2 * np.pi * 2.9 * SENT_S)
+SENT_S = np.asarray(0.2 + np.arange(1000) * 0.01, float)
+SENT_NM = 0.5 * np.sin(2 * np.pi * 1.5 * SENT_S) + 0.2 * np.sin(2 * np.pi * 2.9 * SENT_S)
 
 
 def samples(rate_hz: float, noise_nm: float, gain: float = 1.0, seed: int = 0) -> TimedColumns:
     rng = np.random.default_rng(seed)
-    time_s: FloatArray = np.arange(round(10.0 * rate_hz)) / rate_hz + rng.uniform(0.0, 1e-4, round(10.0 * rate_hz))
+    time_s = np.arange(round(10.0 * rate_hz)) / rate_hz + rng.uniform(0.0, 1e-4, round(10.0 * rate_hz))
     torque, _ = commanded_torque(time_s, SENT_S, SENT_NM, DELAY_S, LAG_S)
     return TimedColumns(time_s, {"tau2_nm": gain * torque + noise_nm * rng.standard_normal(time_s.size)})
 
 
 def test_the_commanded_torque_is_the_staircase_behind_delay_and_lag() -> None:
-    fine: FloatArray = np.arange(0.0, 2.0, 1e-5)
+    fine = np.arange(0.0, 2.0, 1e-5)
     torque, area = commanded_torque(fine, SENT_S, SENT_NM, DELAY_S, LAG_S)
     stair = np.where(fine < SENT_S[0] + DELAY_S, 0.0,
                      SENT_NM[np.clip(np.searchsorted(SENT_S + DELAY_S, fine, side="right") - 1, 0, None)])
@@ -64,7 +63,7 @@ def _correlation(error: np.ndarray) -> float:
 
 def test_a_grid_that_is_finer_than_the_samples_has_a_residual_everywhere() -> None:
     split = split_torque(samples(250.0, 0.005), SENT_S, SENT_NM)
-    grid: FloatArray = np.linspace(0.5, 4.499, 4000)
+    grid = np.linspace(0.5, 4.499, 4000)
     assert split.residual_on(grid, 0.001) == pytest.approx(np.interp(grid, split.time_s, split.residual_nm))
 
 

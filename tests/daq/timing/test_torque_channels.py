@@ -28,7 +28,7 @@ def channels(seed: int, gain: float, offset: float, delay_s: float, noise: float
                                         "tau2_cmd_nm": np.interp(grid, t, command)})
 
 
-@pytest.mark.parametrize(("gain", "offset", "delay_s"), [(1.0, 0.0, 0.0), (1.07, 0.03, 0.002), (0.9, -0.1, -0.006),
+@pytest.mark.parametrize("gain, offset, delay_s", [(1.0, 0.0, 0.0), (1.07, 0.03, 0.002), (0.9, -0.1, -0.006),
                                                          (1.3, 0.0, 0.02)])
 def test_gain_offset_and_delay_come_back(gain: float, offset: float, delay_s: float) -> None:
     found = compare_torque_channels(channels(3, gain, offset, delay_s))
@@ -52,7 +52,7 @@ def test_gaps_are_left_out() -> None:
     data.columns["tau2_shunt_nm"][500:560] = np.nan
     data.columns["tau2_nm"][:30] = np.nan
     found = compare_torque_channels(data)
-    assert found is not None and found.gain.value == pytest.approx(1.07, abs=0.01)
+    assert found.gain.value == pytest.approx(1.07, abs=0.01)
 
 
 def test_nothing_is_said_without_a_command_or_a_channel() -> None:

@@ -1,7 +1,5 @@
 """A leg's record, spoilt as people spoil them: each spoilt column is named with what mends it, a whole one is not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -46,7 +44,7 @@ def spoilt(run: Dataset, by: Spoil) -> Dataset:
     return replace(run, columns={**run.columns, **{name: make(run) for name, make in by.items()}})
 
 
-@pytest.mark.parametrize(("by", "named"), [
+@pytest.mark.parametrize("by, named", [
     ({}, ""),
     (negated("tau2_nm"), "tau2_nm looks negated"),
     (negated("q2_rad"), "q2_rad looks negated"),
@@ -76,7 +74,7 @@ def test_counts_of_the_knees_encoder_are_measured(leg_and_run: tuple[Leg, Datase
     assert found[0].remedy.angles[1, 1] == pytest.approx(2.0 * np.pi / 4096, rel=0.05)
 
 
-@pytest.mark.parametrize(("by", "named"), [
+@pytest.mark.parametrize("by, named", [
     ({"q1_rad": lambda d: d["q1_rad"] + np.pi}, "counted from upright"),
     (scaled(DEGREES, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
     ({"q1_rad": lambda d: d["q2_rad"], "q2_rad": lambda d: d["q1_rad"]}, "interchanged"),
@@ -94,7 +92,7 @@ def test_a_torque_of_the_wrong_scale_is_not_guessed_at(leg_and_run: tuple[Leg, D
     assert not found and not now.faults
 
 
-@pytest.mark.parametrize(("by", "named"), [
+@pytest.mark.parametrize("by, named", [
     (negated("accel_x_mps2"), ["accel_x_mps2 looks negated"]),
     (negated("accel_y_mps2"), ["accel_y_mps2 looks negated"]),
     (negated("gyro_radps"), ["gyro_radps looks negated"]),
@@ -138,7 +136,7 @@ def test_an_imu_that_is_right_and_one_whose_lever_arm_is_not(leg_and_run: tuple[
     assert "looks 0.2 m from the pivot" in said and "lever_arm_m" in said
 
 
-@pytest.mark.parametrize(("columns", "named"), [
+@pytest.mark.parametrize("columns, named", [
     (["accel_x_mps2"], "accel_x_mps2 looks negated: "), (["gyro_radps"], "gyro_radps looks negated: ")])
 def test_the_knee_tells_a_reading_from_its_mirror_image(columns: list[str], named: str,
                                                         leg_and_run: tuple[Leg, Dataset]) -> None:
@@ -170,7 +168,7 @@ def test_a_joint_that_hardly_turns_is_read_as_it_stands(seed: int) -> None:
     assert suspect([run], mechanism, FitOptions(sensors="encoder"), 1.0, True) == Suspicion()
 
 
-@pytest.mark.parametrize(("seed", "seconds"), [(81, 2.0), (84, 2.0), (87, 3.0)])
+@pytest.mark.parametrize("seed, seconds", [(81, 2.0), (84, 2.0), (87, 3.0)])
 def test_a_factor_that_predicts_no_other_part_of_the_record_is_not_named(seed: int, seconds: float) -> None:
     """A gear's friction of 1 N m that grows with the torque: a factor of 1.3 imitates it in 2 s."""
     run = chain_of_three(seed, seconds, 0.4)
@@ -179,7 +177,7 @@ def test_a_factor_that_predicts_no_other_part_of_the_record_is_not_named(seed: i
     assert not find_remedies([rubbing], chain(3, actuated=(1, 2)), FitOptions(sensors="encoder"))[1]
 
 
-@pytest.mark.parametrize(("by", "named"), [
+@pytest.mark.parametrize("by, named", [
     (scaled(1.0 / 0.6, "q3_rad"), "q3_rad looks 1.6"), (scaled(DEGREES, "q3_rad"), "q3_rad looks in degrees"),
     (negated("tau2_nm"), "tau2_nm looks negated")])
 def test_a_chain_that_moves_shows_its_columns(by: Spoil, named: str) -> None:

@@ -59,27 +59,29 @@ def test_impossible_geometry_is_refused(wrong: dict[str, float]) -> None:
         DistanceMeter(**wrong)
 
 
-def seen_by_the_meter(meter: DistanceMeter, run: int) -> Dataset:
+MECHANISM, OPTIONS = motor_mechanism(), case_options(CASES[2])
+GROWING = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=1e-5, sigma_per_m=4e-3)
+
+
+def seen_by_the_meter(run: int) -> Dataset:
     step = one_step().in_motor_angles()
     data = noisy_record(step, CASES[0], 17, run)
-    distance = meter.read(step.q[:, 0], np.random.default_rng([18, run]))
+    distance = GROWING.read(step.q[:, 0], np.random.default_rng([18, run]))
     columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
     return Dataset(data.name, data.rate_hz, data.time_s, {**columns, "distance_m": distance})
 
 
 def test_walker_is_identified_through_the_meter_whose_noise_grows() -> None:
     """Errors over their reported deviations are those of chance, and smaller than where all readings count alike."""
-    mechanism, options = motor_mechanism(), case_options(CASES[2])
-    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=1e-5, sigma_per_m=4e-3)
     off, flat = [], []
     for run in range(30):
-        record = angle_record(seen_by_the_meter(meter, run), meter)
+        record = angle_record(seen_by_the_meter(run), GROWING)
         level = float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))
-        known = replace(options, noise={**options.noise, "encoder1_rad": level})
-        result = fit([record], mechanism, known)
+        known = replace(OPTIONS, noise={**OPTIONS.noise, "encoder1_rad": level})
+        result = fit([record], MECHANISM, known)
         off.append((result.beta - truth()) / result.std)
         alike = {name: values for name, values in record.columns.items() if name != "q1_sigma_rad"}
-        flat.append((fit([replace(record, columns=alike)], mechanism, known).beta - truth()) / result.std)
+        flat.append((fit([replace(record, columns=alike)], MECHANISM, known).beta - truth()) / result.std)
     print(np.ptp(record["q1_sigma_rad"]) / level, np.sqrt(np.mean(np.square(off))), np.sqrt(np.mean(np.square(flat))))
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
     assert np.mean(np.square(off)) < 0.97 * np.mean(np.square(flat))
@@ -87,12 +89,10 @@ def test_walker_is_identified_through_the_meter_whose_noise_grows() -> None:
 
 def test_the_step_search_weighs_readings_as_the_short_one_does() -> None:
     """Records too long for the search of short ones, or with unknown levels, go through `iterate`."""
-    mechanism, options = motor_mechanism(), case_options(CASES[2])
-    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=1e-5, sigma_per_m=4e-3)
-    record = angle_record(seen_by_the_meter(meter, 3), meter)
-    noise = {**options.noise, "encoder1_rad": float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))}
-    short = fit([record], mechanism, replace(options, noise=noise))
-    stepped = fit([record], mechanism, replace(options, noise=noise, fixed={"beta2": float(short.beta[1])}))
+    record = angle_record(seen_by_the_meter(3), GROWING)
+    noise = {**OPTIONS.noise, "encoder1_rad": float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))}
+    short = fit([record], MECHANISM, replace(OPTIONS, noise=noise))
+    stepped = fit([record], MECHANISM, replace(OPTIONS, noise=noise, fixed={"beta2": float(short.beta[1])}))
     np.testing.assert_allclose(stepped.beta, short.beta, rtol=0.02)
 
 

@@ -1,8 +1,5 @@
 """Encoders' zeros that differ from run to run, on MuJoCo's leg."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +12,8 @@ from estimator.calibration.encoder_zeros import differing_text, find_differing, 
 from estimator.errors import FitError
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell, document
 
 LEG = Leg()
 SHIFTS = np.array([[0.06, -0.09], [-0.02, 0.03], [0.01, 0.05], [-0.03, -0.01]])
@@ -96,37 +93,29 @@ def test_only_a_zero_that_differs_is_declared(plain: list[Dataset]) -> None:
     for moved in (0, 1):
         runs = [shifted(data, by * np.eye(2)[moved]) for data, by in zip(plain, SHIFTS)]
         found = find_differing(runs, mechanism, options)
-        assert found is not None and found.joints == (moved,)
+        assert found.joints == (moved,)
         assert found.spread == pytest.approx(np.std(SHIFTS[:, [moved]], axis=0, ddof=1), rel=0.15)
 
 
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
-    files = []
-    for data in runs:
-        files.append(str(tmp_path / f"{data.name}.csv"))
-        write_csv(data, Path(files[-1]))
+                                              shell: Shell) -> None:
+    files = [tmp_path / f"{data.name}.csv" for data in runs]
+    for data, file in zip(runs, files):
+        write_csv(data, file)
     errors = {}
     for name, terms in (("plain", "encoder_zero = []"), ("zero", "encoder_zero = [1, 2]\ntorque_offset = []")):
         rig, model = tmp_path / f"{name}.toml", tmp_path / f"{name}.json"
         rig.write_text(RIG.format(terms=terms))
-        assert main(["fit", *files[:3], "--rig", str(rig), "--sensors", "encoder", "--model-out", str(model)]) == 0
-        said = capsys.readouterr().out
+        shell("fit", *files[:3], "--rig", rig, "--sensors encoder --model-out", model)
+        said = shell.out
         assert ("encoders' zeros, another in every run, are taken off" in said) == (name == "zero")
         assert "encoder_offset@1 explains most of it" not in said  # what all runs have in common is off, too
-        assert main(["validate", str(model), files[3], "--rig", str(rig), "--sensors", "encoder",
-                     "--json", str(tmp_path / f"{name}-v.json")]) == 0
-        errors[name] = rmse(tmp_path / f"{name}-v.json")
+        (found,) = document("validate", model, files[3], "--rig", rig, "--sensors encoder")["runs"]
+        errors[name] = found["rmse"]["q2_rad"]
     assert errors["zero"] < 0.8 * errors["plain"]
 
 
-def rmse(path: Path) -> float:
-    (found,) = json.loads(path.read_text())["runs"]
-    return float(found["rmse"]["q2_rad"])
-
-
-def test_a_joint_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_joint_that_is_not_there_is_refused(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.format(terms="encoder_zero = [3]"))
-    assert main(["fit", "r.csv", "--rig", str(rig)]) == 2
-    assert "terms.encoder_zero names joint 3, leg2 has 2" in capsys.readouterr().err
+    assert "terms.encoder_zero names joint 3, leg2 has 2" in shell.fails("fit r.csv --rig", rig)

@@ -3,8 +3,6 @@
 The legs are those of the blind study: an integrator of its own, friction as a set-valued force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -93,7 +91,7 @@ def test_a_right_set_up_is_not_suspected(start: str, seed: int, records: dict[tu
         assert told(records[start, seed], LEVER_M, suspected) == Suspicion()
 
 
-@pytest.mark.parametrize(("spoil", "lever_arm", "named"), [
+@pytest.mark.parametrize("spoil, lever_arm, named", [
     (times(-1.0, "tau2_nm"), LEVER_M, "tau2_nm looks negated: "),
     (times(180.0 / np.pi, "q2_rad"), LEVER_M, "q2_rad looks in degrees: "),
     (times(1.0, "q2_rad"), 1.5 * LEVER_M, "the IMU looks 0.2 m from the pivot, not 0.3: "),

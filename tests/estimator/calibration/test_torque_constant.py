@@ -10,7 +10,7 @@ G = 9.81
 WEIGHT = Weight(0.5, 0.25)
 
 
-def holds(seed: int, constant: float = 0.9, friction: float = 0.04, scatter: float = 0.005, tilt: float = 0.0,
+def holds(seed: int, scatter: float = 0.005, tilt: float = 0.0,
           count: int = 12, sides: tuple[int, ...] = (1, -1), reach: float = 0.9) -> Holds:
     """Torques that friction and the moments of link and weight make, as currents."""
     rng = np.random.default_rng(seed)
@@ -18,9 +18,9 @@ def holds(seed: int, constant: float = 0.9, friction: float = 0.04, scatter: flo
     p = np.repeat([0.0, 1.0], count)
     side = np.resize(sides, angle.size)
     angle[p == 1] *= 0.45
-    torque = (0.105 + p * 0.5 * 0.25) * G * np.sin(angle) + friction * (1 + 0.5 * p) * side
+    torque = (0.105 + p * 0.5 * 0.25) * G * np.sin(angle) + 0.04 * (1 + 0.5 * p) * side
     torque += scatter * rng.standard_normal(angle.size)
-    return Holds(torque / constant + 0.03, angle + tilt, side.astype(float), p)
+    return Holds(torque / 0.9 + 0.03, angle + tilt, side.astype(float), p)
 
 
 def test_constant_friction_and_own_moment_come_back() -> None:
@@ -55,7 +55,7 @@ def test_the_weight_s_own_error_widens_it() -> None:
     assert rough.half == pytest.approx(np.hypot(exact.half, 0.02 * exact.value), rel=1e-6)
 
 
-@pytest.mark.parametrize(("made", "line"), [
+@pytest.mark.parametrize("made, line", [
     (holds(1, count=5), "5 usable holds with the weight, at least 6"),
     (holds(1, reach=0.1), "too much alike in angle; use more torque"),
     (holds(1, sides=(1,)), "approached from one side"),

@@ -1,7 +1,6 @@
 """What changed on a leg of another engine, and on real records into which a fault is put exactly."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -49,7 +48,7 @@ def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_
     assert 0.0 < offset.size < 0.03
 
 
-@pytest.mark.parametrize(("name", "size", "kind"), [
+@pytest.mark.parametrize("name, size, kind", [
     ("encoder_offset", 0.03, "sensors"), ("gyro_scale", 0.03, "sensors"), ("torque_delay", 0.01, "timing"),
     ("sensor_time_skew", 0.005, "timing")])
 def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: str, tmp_path: Path) -> None:
@@ -57,7 +56,7 @@ def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: 
     cause = next(c for c in found.causes if c.effect == name)
     assert found.verdict in ("named", "partial", "one_of") and cause.kind == kind
     assert cause.size[0].value == pytest.approx(size, rel=0.25)
-    assert found.held_out is not None and sum(found.held_out.gain) > 0.0
+    assert sum(found.held_out.gain) > 0.0
 
 
 def test_an_encoder_whose_zero_differs_from_run_to_run_shows_no_change_of_it(tmp_path: Path) -> None:
@@ -81,7 +80,7 @@ def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
             compare_sessions(b, a, setup.mechanism, setup.options))
 
 
-@pytest.mark.parametrize(("name", "size", "kind"), [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
+@pytest.mark.parametrize("name, size, kind", [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
 def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size: float, kind: str, tmp_path: Path
                                                                 ) -> None:
     found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None,
@@ -100,7 +99,7 @@ def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size:
         return
     cause = next(c for c in found.causes if c.effect == name)
     assert cause.kind == kind and cause.size[0].value == pytest.approx(size, rel=0.25)
-    assert found.held_out is not None and len(found.held_out.runs) == 8
+    assert len(found.held_out.runs) == 8
 
 
 def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
@@ -117,7 +116,7 @@ def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
     assert other.size[0].value == pytest.approx(1.0 / cause.size[0].value)
 
 
-@pytest.mark.parametrize(("link", "mass", "distance"), [
+@pytest.mark.parametrize("link, mass, distance", [
     (1, 0.03, 0.25), (2, 0.15, 0.1), *(pytest.param(*rest, marks=pytest.mark.slow)
                                        for rest in ((1, 0.2, 0.1), (2, 0.02, 0.2)))])
 def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float, distance: float, tmp_path: Path
@@ -173,25 +172,26 @@ def test_one_run_is_refused_with_a_remedy() -> None:
     assert found.verdict == "fit_failed" and "give at least 2 of each session" in found.sentence
 
 
+def scored(rng: np.random.Generator, rows: np.ndarray, theta: np.ndarray) -> Score:
+    """A run of white noise."""
+    return Score(rows.T @ (rows @ theta + rng.normal(size=len(rows))), rows.T @ rows)
+
+
+def sessions(run: Callable[[float], Score], count: int) -> tuple[Contrast, Structure]:
+    """A session of runs (1.0) from one of runs (0.0), and the structure of the latter."""
+    reference, test = [run(0.0) for _ in range(4)], [run(1.0) for _ in range(4)]
+    structure = find_structure([reference], count)
+    return contrast(total(seen(test, structure)), total(seen(reference, structure)), structure), structure
+
+
 def test_a_contrast_recovers_a_change_with_structure_in_the_reference() -> None:
     """Structure that both sessions have cancels; a change of one column comes back, of white noise's scatter."""
-    rng = np.random.default_rng(3)
-    structure, change, columns = rng.normal(size=6), 0.5, 6
-
-    def run(moved: float) -> Score:
-        rows = rng.normal(size=(4000, columns))
-        theta = structure + moved * np.eye(columns)[4]
-        information = rows.T @ rows
-        return Score(information @ theta + rows.T @ rng.normal(size=4000), information)
-
-    reference, test = [run(0.0) for _ in range(4)], [run(change) for _ in range(4)]
-    found = between(test, reference, find_structure([reference], 2)).along(np.eye(columns)[:, 4:6])
+    rng, columns = np.random.default_rng(3), np.eye(6)
+    structure = rng.normal(size=6)
+    found = sessions(lambda moved: scored(rng, rng.normal(size=(4000, 6)), structure + 0.5 * moved * columns[4]),
+                     2)[0].along(columns[:, 4:6])
     size, std = found.size(), np.sqrt(np.diag(found.covariance()))
-    assert size == pytest.approx([change, 0.0], abs=0.05) and std.max() < 0.05
-
-
-def between(test: list[Score], reference: list[Score], structure: Structure) -> Contrast:
-    return contrast(total(seen(test, structure)), total(seen(reference, structure)), structure)
+    assert size == pytest.approx([0.5, 0.0], abs=0.05) and std.max() < 0.05
 
 
 @pytest.mark.parametrize("own", [0.0, 0.05, 0.3])
@@ -199,17 +199,10 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
     """Sizes of a change that is not there, over their standard deviations, over 40 pairs of sessions."""
     rng = np.random.default_rng(8)
     common, scores = rng.normal(size=30), []
-
-    def run() -> Score:
-        rows = rng.normal(size=(400, 30))
-        information = rows.T @ rows
-        score = information @ (common + own * rng.normal(size=30)) + rows.T @ rng.normal(size=400)
-        return Score(score, information)
-
     for _ in range(40):
-        reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
-        structure = find_structure([reference], 3)
-        found = between(test, reference, structure).along(np.eye(30)[:, 9:10])
+        one, structure = sessions(
+            lambda _: scored(rng, rng.normal(size=(400, 30)), common + own * rng.normal(size=30)), 3)
+        found = one.along(np.eye(30)[:, 9:10])
         scores.append(found.size()[0] / np.sqrt(found.covariance()[0, 0]))
     assert 0.6 < np.std(scores) < 1.4
     assert structure.own == pytest.approx(own**2 * 400, rel=0.6, abs=0.5)
@@ -218,17 +211,11 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
 def test_a_level_that_all_runs_have_is_no_part_of_a_change() -> None:
     """One column of thirty has six standard deviations of one run in both sessions, such as an unmodelled delay."""
     rng = np.random.default_rng(5)
-    level, here = np.zeros(30), np.eye(30)[:, 9:10]
-    level[9] = 0.6
-
-    def run() -> Score:
-        rows = rng.normal(size=(100, 30))
-        return Score(rows.T @ (rows @ level + rng.normal(size=100)), rows.T @ rows)
-
+    here = np.eye(30)[:, 9:10]
     sizes, held = [], []
     for _ in range(60):
-        reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
-        one = between(test, reference, find_structure([reference], 3)).measured(here, here[:, :0])
+        found, _ = sessions(lambda _: scored(rng, rng.normal(size=(100, 30)), 0.6 * here[:, 0]), 3)
+        one = found.measured(here, here[:, :0])
         sizes.append(one.size()[0])
         held.append(abs(sizes[-1]) < 2.0 * np.sqrt(one.covariance()[0, 0]))
     assert abs(np.mean(sizes)) < 0.03 and np.mean(held) > 0.88
@@ -236,16 +223,14 @@ def test_a_level_that_all_runs_have_is_no_part_of_a_change() -> None:
 
 def test_the_size_of_one_change_is_that_with_the_other_fitted() -> None:
     """Two columns that overlap changed; each size alone would take a part of the other."""
-    rng = np.random.default_rng(6)
+    rng, columns = np.random.default_rng(6), np.eye(6)
 
     def run(moved: float) -> Score:
         rows = rng.normal(size=(4000, 6))
         rows[:, 5] += rows[:, 4]
-        return Score(rows.T @ (rows @ np.array([0, 0, 0, 0, 0.3, 0.2]) * moved + rng.normal(size=4000)), rows.T @ rows)
+        return scored(rng, rows, moved * (0.3 * columns[4] + 0.2 * columns[5]))
 
-    reference, test = [run(0.0) for _ in range(4)], [run(1.0) for _ in range(4)]
-    found = between(test, reference, find_structure([reference], 2))
-    columns = np.eye(6)
+    found, _ = sessions(run, 2)
     assert found.measured(columns[:, 4:5], columns[:, 5:6]).size() == pytest.approx([0.3], abs=0.05)
     assert found.measured(columns[:, 4:5], columns[:, :0]).size()[0] > 0.4
 

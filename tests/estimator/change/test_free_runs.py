@@ -1,13 +1,11 @@
 """Whether later runs are predicted as well as left-out reference runs, whatever the list of changes says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from daq import load_rig
+from daq import Dataset, load_rig
 from estimator import FitError, FitOptions
 from estimator.change import Change, LogLevels, detect_change, learn_reference
 from estimator.change.free_runs import _without, free_run_errors, larger_error
@@ -26,14 +24,14 @@ from tests.support.paths import REAL
 def test_only_a_rise_beyond_the_scatter_of_runs_counts() -> None:
     reference = LogLevels(4, {"q1_rad": (0.0, 0.04), "q2_rad": (0.0, 0.04)})
     risen = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (1.4, 0.04)}), reference)
-    assert risen is not None and (risen.column, risen.ratio) == ("q2_rad", pytest.approx(np.exp(1.4)))
+    assert (risen.column, risen.ratio) == ("q2_rad", pytest.approx(np.exp(1.4)))
     assert risen.p_value < 0.001 and risen.ci95[0] > 2.5
     alike = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
-    assert alike is not None and alike.p_value > 0.2
+    assert alike.p_value > 0.2
     assert larger_error(LogLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
     paired = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference, comparisons=10)
     alone = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference)
-    assert paired is not None and alone is not None and paired.p_value == pytest.approx(10 * alone.p_value)
+    assert paired.p_value == pytest.approx(10 * alone.p_value)
 
 
 def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
@@ -52,16 +50,23 @@ def test_no_change_says_how_much_more_free_runs_err() -> None:
     assert found.verdict == "no_change" and found.free_runs == rise
     assert "Free runs over 1 s err 4 times" in change_text(ChangeDocument.of(found))
     told = ChangeDocument.of(found).free_runs
-    assert told is not None and told.ratio == pytest.approx(4.0)
+    assert told.ratio == pytest.approx(4.0)
     smaller = with_errors(found, lambda: replace(rise, ratio=2.0, p_value=1.0), AGAINST)
     assert smaller.free_runs == rise
 
 
+LEG = Leg()
+MECHANISM = leg2(lever_arm=LEG.lever)
+
+
+def swung(seed: int, count: int) -> list[Dataset]:
+    rng, time = np.random.default_rng(seed), np.arange(600) / 100.0
+    return [record(LEG, rng, seconds=6.0, tau=multisine(rng, time, 1.2), name=f"run{k}") for k in range(count)]
+
+
 def test_a_reference_without_errors_of_free_runs_is_told_to_the_user() -> None:
-    rng, leg = np.random.default_rng(7), Leg()
-    time = np.arange(600) / 100.0
-    runs = [record(leg, rng, seconds=6.0, tau=multisine(rng, time, 1.2), name=f"run{k}") for k in range(6)]
-    reference = learn_reference(runs[:4], leg2(lever_arm=leg.lever), FitOptions())
+    runs = swung(7, 6)
+    reference = learn_reference(runs[:4], MECHANISM, FitOptions())
     assert set(reference.errors.levels) == {"q2_rad", "gyro_radps"}
     whole, older = (detect_change(runs[4:], known) for known in
                     (reference, replace(reference, errors=LogLevels(4, {}))))
@@ -70,14 +75,11 @@ def test_a_reference_without_errors_of_free_runs_is_told_to_the_user() -> None:
 
 
 def test_the_fit_without_a_run_is_one_step_away() -> None:
-    rng, leg = np.random.default_rng(4), Leg()
-    time = np.arange(600) / 100.0
-    runs = [record(leg, rng, seconds=6.0, tau=multisine(rng, time, 1.2), name=f"run{k}") for k in range(4)]
-    mechanism = leg2(lever_arm=leg.lever)
-    fit = fit_reference(runs, mechanism, FitOptions(), 1.0)
+    runs = swung(4, 4)
+    fit = fit_reference(runs, MECHANISM, FitOptions(), 1.0)
     scores = [score_run(fit, run) for run in runs]
     left = _without(fit, scores, 0)
-    fitted = fit_reference(runs[1:], mechanism, FitOptions(), 1.0).model.beta
+    fitted = fit_reference(runs[1:], MECHANISM, FitOptions(), 1.0).model.beta
     p = fit.model.beta.size
     std = np.sqrt(np.diag(scores[0].along(np.eye(scores[0].score.size)[:, :p]).covariance()))
     assert np.abs(left - fit.model.beta).max() > 0.0

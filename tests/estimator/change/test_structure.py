@@ -1,7 +1,5 @@
 """The structure of runs that has no name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

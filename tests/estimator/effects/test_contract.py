@@ -5,8 +5,6 @@
 3. A fit finds it, with its size, in records of a plant of other code (`tests.support.hidden_effects`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache

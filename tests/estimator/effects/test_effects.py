@@ -1,7 +1,5 @@
 """What an effect says of itself, and what it may not say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 
@@ -66,7 +64,7 @@ def test_an_encoder_that_is_not_read_has_no_effect() -> None:
             assert (f"{kind}@2" in found) == (1 in encoders) == (f"{kind}@2" not in refused)
 
 
-@pytest.mark.parametrize(("share", "is_stop"), [(0.42, False), (-0.75, True), (0.93, True), (-1.0, False)])
+@pytest.mark.parametrize("share, is_stop", [(0.42, False), (-0.75, True), (0.93, True), (-1.0, False)])
 def test_a_stop_begins_in_the_outer_half_of_the_range_and_is_touched(share: float, is_stop: bool) -> None:
     """From 0.42 on it is a spring that hardens; at the very end the rounding of its law alone acts, a constant."""
     stop = EndStopContact(1)
@@ -75,7 +73,7 @@ def test_a_stop_begins_in_the_outer_half_of_the_range_and_is_touched(share: floa
     assert 0.49 < abs(kept[1]) < 1.0 and np.sign(kept[1]) == np.sign(share)
 
 
-@pytest.mark.parametrize(("bent", "own"), [
+@pytest.mark.parametrize("bent, own", [
     (lambda w: np.clip(w, -0.1, 0.1), "v"), (lambda w: 0.02 * w**3, "v"),
     (lambda q: 0.05 * np.abs(q - 0.2), "q"), (lambda q: 0.03 * q**3, "q")], ids=["dead band", "soft", "kink", "cubic"])
 def test_terms_without_a_name_follow_a_sensors_bent_curve(bent: Callable[[FloatArray], FloatArray], own: str) -> None:

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator import Effect, FitOptions
 from estimator.effects import EncoderOffset, library, placed
@@ -43,8 +44,8 @@ def test_a_spring_of_leg_two_acts_where_that_leg_is() -> None:
     exchanged = np.concatenate([np.full(len(s.time_s), s.exchanged) for s in steps()])
     assert exchanged.any() and not exchanged.all()
     taken = extra.torque_at_samples
-    np.testing.assert_allclose(np.abs(taken[2, ~exchanged]), np.abs(5.0 * x.q[~exchanged, 2]), rtol=1e-12)
-    np.testing.assert_allclose(np.abs(taken[1, exchanged]), np.abs(5.0 * x.q[exchanged, 1]), rtol=1e-12)
+    assert_allclose(np.abs(taken[2, ~exchanged]), np.abs(5.0 * x.q[~exchanged, 2]), rtol=1e-12)
+    assert_allclose(np.abs(taken[1, exchanged]), np.abs(5.0 * x.q[exchanged, 1]), rtol=1e-12)
     assert not taken[0].any() and not taken[1, ~exchanged].any() and not taken[2, exchanged].any()
 
 
@@ -52,8 +53,8 @@ def test_an_encoder_of_leg_one_misreads_where_that_leg_is() -> None:
     made, x = problem([at(1, EncoderOffset)])
     readings = made.extra(x, np.append(Walker().beta, 0.01)).readings
     exchanged = np.concatenate([np.full(len(s.time_s), s.exchanged) for s in steps()])
-    np.testing.assert_array_equal(readings[encoder_of(1)], np.where(exchanged, 0.0, 0.01))
-    np.testing.assert_array_equal(readings[encoder_of(2)], np.where(exchanged, 0.01, 0.0))
+    assert_array_equal(readings[encoder_of(1)], np.where(exchanged, 0.0, 0.01))
+    assert_array_equal(readings[encoder_of(2)], np.where(exchanged, 0.01, 0.0))
 
 
 def test_a_stop_is_at_one_angle_whichever_leg_stands() -> None:
@@ -76,7 +77,7 @@ def test_all_of_the_library_is_scored_here_and_in_another_process(effect: Effect
     one, other = ((e.key, type(e).__name__, [h.joint for h in getattr(e, "halves", ())]) for e in (copy, effect))
     assert one == other
     again = problem([], [Candidate(copy, shape)])[0].extra(x, Walker().beta)
-    np.testing.assert_array_equal(again.torque_columns, extra.torque_columns)
+    assert_array_equal(again.torque_columns, extra.torque_columns)
 
 
 def test_what_makes_no_sense_on_a_walker_is_refused_with_its_reason() -> None:

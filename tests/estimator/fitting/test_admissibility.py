@@ -1,7 +1,5 @@
 """Parameters that no mechanism has are held at their bound or named; those of one are left alone."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +12,8 @@ from estimator.fitting import faults, fit_admissible
 from estimator.fitting.admissibility import upper_end
 from estimator.fitting.identifiability import undetermined
 from estimator.model import joint1, leg2
-from experiments.cli import main
 from tests.support.prescribed import SWING_RIG, negated, swing_run, written
+from tests.support.shell import Shell
 
 ENCODER = FitOptions(sensors="encoder")
 
@@ -77,19 +75,19 @@ def test_what_no_masses_can_do_is_named() -> None:
     assert faults(leg2(), leg + 0.05 * (np.arange(9) == 2), unknown, q) == ()
 
 
-def test_a_negated_torque_ends_with_the_remedy_and_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_negated_torque_ends_with_the_remedy_and_no_model(tmp_path: Path, shell: Shell) -> None:
     run = swing_run(viscous=0.05, coulomb=0.1)
     rig, model = tmp_path / "rig.toml", tmp_path / "model.json"
     rig.write_text(SWING_RIG)
-    words = ["fit", *written([negated(run, "tau1_nm")], tmp_path), "--rig", str(rig), "--model-out", str(model),
-             "--json", str(tmp_path / "fit.json")]
-    assert main(words) == 1
-    said = capsys.readouterr().err.strip().splitlines()[-1]
+    words = ("fit", *written([negated(run, "tau1_nm")], tmp_path), "--rig", rig, "--model-out", model, "--json",
+             tmp_path / "fit.json")
+    shell(*words, status=1)
+    said = shell.err.strip().splitlines()[-1]
     assert "no mechanism's" in said and "tau1_nm looks negated" in said and "[columns.tau1_nm]" in said
     assert not model.exists() and json.loads((tmp_path / "fit.json").read_text())["inadmissible"]
     corrected = '[columns.tau1_nm]\nname = "tau1_nm"\nsign = -1\n'
     rig.write_text(rig.read_text() + corrected)  # as the message says
-    assert main(words) == 0
+    shell(*words)
     assert model.exists()
 
 

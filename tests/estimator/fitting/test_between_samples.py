@@ -1,11 +1,10 @@
 """What happens between samples: reversals and rest of a leg with dry friction, and torque as a controller makes it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
 from daq import Dataset
@@ -14,7 +13,7 @@ from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import fit_nominal
 from estimator.fitting.hold_choice import HoldChoice
-from estimator.model import GAUSS, HOLDS, Collocation, lag, leg2
+from estimator.model import GAUSS, HOLDS, Collocation, Mechanism, lag, leg2
 from estimator.model.collocation import spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.stick_slip_leg import move, sample
@@ -109,33 +108,35 @@ def test_a_smooth_torque_s_integral_and_first_moment() -> None:
 def test_slopes_are_those_of_scipy_s_spline() -> None:
     u = np.random.default_rng(1).normal(size=(400, 2)).cumsum(axis=0)
     wanted = CubicSpline(np.arange(400), u).derivative()(np.arange(400))
-    np.testing.assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
+    assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
     line = np.arange(3.0)[:, None] * [[2.0, -1.0]]
-    np.testing.assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
+    assert_allclose(spline_slopes(line), [[2.0, -1.0]] * 3, atol=1e-12)
 
 
-@pytest.mark.parametrize(("timing", "hold"), [
+def timed(timing: Timing) -> tuple[Mechanism, list[Dataset]]:
+    rng = np.random.default_rng(11)
+    leg = random_leg(rng)
+    return leg2(lever_arm=leg.lever), [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
+
+
+@pytest.mark.parametrize("timing, hold", [
     (Timing(200), "zero"), (Timing(1000, 5), "zero/5"), (Timing(400, 2), "zero/2"),
     (Timing(200, between="average"), "past"),
     (Timing(200, delay_s=0.007, loop="pd"), "zero"), (Timing(100, delay_s=0.012), "zero"),
     (Timing(200, delay_s=0.007, between="ramp"), "smooth")])
 def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     """Half a sample of a delay is the difference between two holds: alone, the hold took half a tick of a delay."""
-    rng = np.random.default_rng(11)
-    leg = random_leg(rng)
-    runs = [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
-    assert fit_nominal(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[0] == hold
+    mechanism, runs = timed(timing)
+    assert fit_nominal(runs, mechanism, FitOptions(hold="auto"))[0] == hold
 
 
-@pytest.mark.parametrize(("between", "hold"), [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
+@pytest.mark.parametrize("between, hold", [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
 def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str, hold: str) -> None:
     """Half a sample of the file is a quarter of one of the grid: a mean over the past was 2.5 ms of a delay."""
-    rng = np.random.default_rng(11)
-    leg = random_leg(rng)
-    runs = [record_timed(leg, rng, Timing(200, between=between), seconds=8.0, name=f"r{k}") for k in range(4)]
+    mechanism, runs = timed(Timing(200, between=between))
     coarse = [align_table(RawTable(run.name, run.time_s, run.columns), 100.0) for run in runs]
     assert coarse[0].averaged == pytest.approx(2.0) and runs[0].averaged == 1.0
-    assert fit_nominal(coarse, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))[:1] == (hold,)
+    assert fit_nominal(coarse, mechanism, FitOptions(hold="auto"))[:1] == (hold,)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -146,7 +147,7 @@ def test_every_hold_acts_as_late_as_it_says(hold: str) -> None:
     torque = c.torque(np.hstack([u, u]), slice(30, 40))
     curve = c.between(np.hstack([u, u]), np.array([60]))
     mean = (torque if curve is None else torque + curve[:, :, 30:40])[0].mean(axis=0)
-    np.testing.assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
+    assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.2, 0.5, 1.0])
@@ -155,9 +156,9 @@ def test_a_held_torque_steps_within_an_interval(late: float) -> None:
     values = Collocation(leg2(), 0.01, "zero", late).torque(u, slice(0, 19))[0]
     fine = (np.arange(20000) + 0.5) / 20000
     acting = np.where(fine[:, None] < late, u[:-1, 0], u[1:, 0])
-    np.testing.assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
+    assert_allclose(values.mean(axis=0), acting.mean(axis=0), atol=1e-3)
     moments = (GAUSS[0] - 0.5) * values[0] / 2 + (GAUSS[1] - 0.5) * values[1] / 2
-    np.testing.assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
+    assert_allclose(moments, np.mean(acting * (fine[:, None] - 0.5), axis=0), atol=1e-3)
 
 
 def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:

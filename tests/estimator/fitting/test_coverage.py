@@ -1,7 +1,5 @@
 """Intervals hold what they say: over many records of a pendulum, by a plant and an integrator of the test's own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

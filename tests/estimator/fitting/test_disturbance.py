@@ -1,7 +1,5 @@
 """A coloured disturbance torque: found where there is one, not where there is none, and declared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -116,12 +114,12 @@ def likelihood(wandering: Made) -> MarginalLikelihood:
     problem = LatentProblem(signals, mechanism, "linear")
     state = start_state(problem, signals, mechanism, OPTIONS, *free_mask(mechanism, OPTIONS))
     state = iterate(problem, state, np.ones(9, dtype=bool), OPTIONS, noise_floors(problem, mechanism, state.beta))
-    assert state.noise.stiction is not None and state.noise.stiction.any()
+    assert state.noise.stiction.any()
     return disturbance_likelihood(signals, problem, state)
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize(("level", "constant", "white"), [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
+@pytest.mark.parametrize("level, constant, white", [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
                                                           (0.5 * OFF * 0.02, 0.1, 0.02)])
 def test_slopes_are_differences(likelihood: MarginalLikelihood, joint: int, level: float, constant: float,
                                 white: float) -> None:

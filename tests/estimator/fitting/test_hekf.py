@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
+from daq import Dataset
 from estimator import FitError, FitOptions, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
@@ -36,10 +38,10 @@ def test_jacobians_are_the_derivatives(imu: bool) -> None:
     for k in range(x.shape[1]):
         d = np.zeros(x.shape[1])
         d[k] = 1e-6
-        np.testing.assert_allclose(slope[..., k], (f.acceleration(x + d, u) - f.acceleration(x - d, u)) / 2e-6,
-                                   rtol=1e-5, atol=1e-5)
+        assert_allclose(slope[..., k], (f.acceleration(x + d, u) - f.acceleration(x - d, u)) / 2e-6,
+                        rtol=1e-5, atol=1e-5)
         both = [f._measurement(x + s * d, u)[0] for s in (1, -1)]
-        np.testing.assert_allclose(h[..., k], (both[0] - both[1]) / 2e-6, rtol=1e-5, atol=1e-5)
+        assert_allclose(h[..., k], (both[0] - both[1]) / 2e-6, rtol=1e-5, atol=1e-5)
 
 
 def test_covariance_follows_the_transposed_equation() -> None:
@@ -54,42 +56,42 @@ def test_covariance_follows_the_transposed_equation() -> None:
     p = p0[None]
     for _ in range(20):
         p = _advance_covariance(a[None], q[None], p, t / 20)
-    np.testing.assert_allclose(p[0], exact, rtol=1e-9)
-    np.testing.assert_allclose(p[0], p[0].T, rtol=1e-12)
+    assert_allclose(p[0], exact, rtol=1e-9)
+    assert_allclose(p[0], p[0].T, rtol=1e-12)
+
+
+def walkers(case: int, seed: int, count: int) -> list[Dataset]:
+    step = one_step().in_motor_angles()
+    return [noisy_record(step, CASES[case], seed, run) for run in range(count)]
 
 
 def test_walker_with_a_nearly_exact_angle_is_found() -> None:
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[0], 11, run) for run in range(6)]
-    found = fit_each(records, motor_mechanism(), case_options(CASES[0]), "hekf")
+    found = fit_each(walkers(0, 11, 6), motor_mechanism(), case_options(CASES[0]), "hekf")
     beta = np.array([outcome.beta for outcome in found if not isinstance(outcome, FitError)])
     assert len(beta) == 6
-    np.testing.assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
+    assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
 
 
 def test_records_together_are_records_alone() -> None:
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[1], 12, run) for run in range(3)]
+    records = walkers(1, 12, 3)
     options = case_options(CASES[1])
     together = fit_each(records, motor_mechanism(), options, "hekf")
     for data, outcome in zip(records, together):
         assert not isinstance(outcome, FitError)
         alone = fit([data], motor_mechanism(), options, "hekf")
-        np.testing.assert_allclose(outcome.beta, alone.beta, rtol=1e-9)
+        assert_allclose(outcome.beta, alone.beta, rtol=1e-9)
 
 
 def test_leg_with_imu_is_found() -> None:
     leg = Leg()
     run = record(leg, np.random.default_rng(3), seconds=4.0)
     result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), "hekf")
-    np.testing.assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.05)
+    assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.05)
     assert np.all(result.std > 0.0)
 
 
 def test_failure_to_integrate_is_said() -> None:
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, CASES[2], 1, run) for run in range(20)]
-    found = fit_each(records, motor_mechanism(), case_options(CASES[2]), "hekf")
+    found = fit_each(walkers(2, 1, 20), motor_mechanism(), case_options(CASES[2]), "hekf")
     lost = [outcome for outcome in found if isinstance(outcome, FitError)]
     assert lost
     assert "failed to integrate" in str(lost[0])

@@ -1,7 +1,5 @@
 """How late an IMU is, found before a fit and in it; nothing of the plant is the estimator's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ CUTOFF_HZ = 50.0
 FILTER_S = 1.0 / (2.0 * np.pi * CUTOFF_HZ)
 
 
-@pytest.mark.parametrize(("timing", "age_s"), [
+@pytest.mark.parametrize("timing, age_s", [
     (Timing(imu_age_s=0.005, imu_cutoff_hz=CUTOFF_HZ), 0.005 + FILTER_S),
     (Timing(1000, 5, loop="pd", imu_cutoff_hz=CUTOFF_HZ), FILTER_S),
     (Timing(), 0.0)])

@@ -1,7 +1,5 @@
 """The motion of a leg whose joints stick and reverse: found from anywhere, where whole steps go to and fro."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The default estimator on legs that MuJoCo simulated; seeds 500 and up were not used while building it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

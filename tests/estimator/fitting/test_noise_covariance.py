@@ -123,6 +123,11 @@ def arm(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray, F
     return np.stack([q1, q2], axis=1), np.stack([tau1, tau2], axis=1), b
 
 
+def arm_run(q: FloatArray, tau: FloatArray) -> Dataset:
+    return Dataset("arm", 100.0, np.arange(len(q)) / 100.0, {"q1_rad": q[:, 0], "q2_rad": q[:, 1],
+                                                             "tau1_nm": tau[:, 0], "tau2_nm": tau[:, 1]})
+
+
 @cache
 def arms(count: int = FEW) -> dict[str, Told]:
     """`count` records of 10 s of one arm, torques' noise 3 : 1 and correlated by 0.8."""
@@ -132,9 +137,7 @@ def arms(count: int = FEW) -> dict[str, Told]:
     runs = []
     for _ in range(count):
         shown = tau + rng.multivariate_normal(np.zeros(2), covariance, size=len(tau))
-        read = q + FINE * rng.normal(size=q.shape)
-        runs.append(Dataset("arm", 100.0, np.arange(len(q)) / 100.0, {
-            "q1_rad": read[:, 0], "q2_rad": read[:, 1], "tau1_nm": shown[:, 0], "tau2_nm": shown[:, 1]}))
+        runs.append(arm_run(q + FINE * rng.normal(size=q.shape), shown))
     alone = FitOptions(sensors="encoder", hold="smooth")
     correlated = replace(alone, torque_correlation=((1.0, RHO), (RHO, 1.0)))
     own = {"torque1_nm": 0.06, "torque2_nm": 0.02, "encoder_rad": FINE}
@@ -178,18 +181,16 @@ def test_levels_at_a_given_correlation_are_the_likeliest() -> None:
     assert excess_variance(declared, declared) == pytest.approx(np.ones(3))
 
 
-@pytest.mark.parametrize(("method", "latent"), [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
+@pytest.mark.parametrize("method, latent", [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
                                                 ("mle", "free")])
 def test_a_method_that_would_not_use_a_correlation_refuses_it(method: Method, latent: str) -> None:
     q, tau, _ = arm(np.random.default_rng(1), 300)
-    run = Dataset("arm", 100.0, np.arange(300) / 100.0, {"q1_rad": q[:, 0], "q2_rad": q[:, 1], "tau1_nm": tau[:, 0],
-                                                         "tau2_nm": tau[:, 1]})
     options = FitOptions(sensors="encoder", latent=latent, torque_correlation=((1.0, 0.5), (0.5, 1.0)))
     with pytest.raises(FitError, match=r"declares torque_correlation: fit by --method mle, or take the key out"):
-        fit([run], leg2(actuated=(0, 1)), options, method)
+        fit([arm_run(q, tau)], leg2(actuated=(0, 1)), options, method)
 
 
-@pytest.mark.parametrize(("rows", "axes"), [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
+@pytest.mark.parametrize("rows, axes", [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
                                             (((0.9, 0.0), (0.0, 1.0)), 0.0), ((), 1.0)])
 def test_options_refuse_what_is_no_correlation(rows: tuple[tuple[float, ...], ...], axes: float) -> None:
     with pytest.raises(ValueError, match="_correlation"):

@@ -1,7 +1,5 @@
 """Effects that a fit lacks: found where they would move its parameters, not found on legs that have none."""
 
-from __future__ import annotations
-
 import pytest
 
 from daq import Dataset
@@ -16,7 +14,7 @@ def fitted(leg: Leg, runs: list[Dataset], options: FitOptions = OPTIONS) -> FitR
     return fit(runs, leg2(lever_arm=leg.lever), options)
 
 
-@pytest.mark.parametrize(("count", "seconds"), [(1, 20.0), (4, 20.0), (1, 3.5)])
+@pytest.mark.parametrize("count, seconds", [(1, 20.0), (4, 20.0), (1, 3.5)])
 @pytest.mark.parametrize("seed", [70, 71, 72])
 def test_a_leg_without_a_fault_lacks_nothing(seed: int, count: int, seconds: float) -> None:
     leg, runs = recorded(seed, count, seconds)
@@ -24,7 +22,7 @@ def test_a_leg_without_a_fault_lacks_nothing(seed: int, count: int, seconds: flo
     assert result.converged and result.omitted == ()
 
 
-@pytest.mark.parametrize(("count", "error"), [(1, 0.02), (4, 0.02), (1, -0.02)])
+@pytest.mark.parametrize("count, error", [(1, 0.02), (4, 0.02), (1, -0.02)])
 def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: float) -> None:
     """The true parameters lie outside their intervals, about as far as is said."""
     leg, runs = recorded(73, count, 20.0)

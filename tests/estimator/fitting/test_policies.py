@@ -1,7 +1,5 @@
 """Policies of the Gauss-Newton loop, on steps that are written down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

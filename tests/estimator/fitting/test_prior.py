@@ -1,7 +1,5 @@
 """Known body values and parameters in a fit: by hand, against an exact combination, and on a leg that swings little."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -64,7 +62,7 @@ def test_a_known_parameter_is_combined_as_two_measurements() -> None:
     std = float(alone.std[4])
     value = float(alone.beta[4]) + std
     both = fit([short], MECHANISM, replace(options, prior={"beta5": (value, std)}))
-    assert alone.agreement is not None and not alone.agreement.disagree
+    assert not alone.agreement.disagree
     assert both.beta[4] == pytest.approx(alone.beta[4] + 0.5 * std, abs=0.1 * std)
     assert both.std[4] == pytest.approx(std / np.sqrt(2.0), rel=0.1)
     assert [one.name for one in both.prior] == ["beta5"]
@@ -99,7 +97,7 @@ def test_names_and_methods_that_know_no_prior_are_refused() -> None:
 def test_the_value_named_next_shrinks_the_intervals_as_promised() -> None:
     result = fit([SMALL], MECHANISM, FitOptions(sensors="imu"))
     found = next_measurement(result)
-    assert found is not None and found.share < 0.9
+    assert found.share < 0.9
     true = dict(zip(MECHANISM.names, LEG.beta())) | BODIES
     known = fit([SMALL], MECHANISM, FitOptions(sensors="imu", prior={found.name: (true[found.name], found.std)}))
     for name, share in found.widths.items():

@@ -1,7 +1,5 @@
 """A noise level of each run's own: the plants, their noise and the least squares held against it are the tests'."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult, fit
-from estimator.fitting.run_levels import Column, run_levels
+from estimator.fitting.run_levels import Column, RunLevels, run_levels
 from estimator.likelihood import LatentProblem, Latents, Noise, NoiseScale
 from estimator.model import ImuPlace, leg2
 from estimator.signals import imu_columns, split_signals
@@ -56,7 +54,7 @@ def error(plant: Plant, found: list[FitResult]) -> FloatArray:
     return np.array([f.beta / plant[0].beta() - 1.0 for f in found])
 
 
-@pytest.mark.parametrize(("sensors", "channels"), [
+@pytest.mark.parametrize("sensors, channels", [
     ("imu", {"gyro_radps": 0.01, "accel_y_mps2": 0.05, "torque2_nm": 0.02, "encoder2_rad": 3e-4}),
     ("encoder", {"torque2_nm": 0.02, "encoder1_rad": 3e-4, "encoder2_rad": 3e-4})])
 def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: str, channels: dict[str, float]) -> None:
@@ -76,30 +74,31 @@ def test_a_short_run_among_runs_alike_gets_no_level_of_its_own(plant: Plant) -> 
     assert all(f.run_noise is None for f in fits(plant, 1.0, "imu", 6, 60))
 
 
+def levels_of(noise: FloatArray, lengths: list[int], taken: float = 0.0) -> RunLevels:
+    """Of a gyro's noise; of the second run's samples, this many are taken by its latents."""
+    column = Column("gyro_radps", noise**2, np.ones(noise.size), taken * np.eye(len(lengths))[1], "gyro", 0, 1.0, 0.0)
+    return run_levels(column, np.cumsum([0, *lengths[:-1]]), np.array(lengths))
+
+
 def test_runs_alike_get_levels_of_their_own_seldom() -> None:
-    rng, alarms = np.random.default_rng(4), 0
-    starts, lengths = np.array([0, 1000, 1100, 2000]), np.array([1000, 100, 900, 1000])
-    for _ in range(400):
-        alarms += run_levels(_column(rng.normal(size=3000) ** 2), starts, lengths).differ
-    assert alarms <= 12  # 1 % is chance
+    rng = np.random.default_rng(4)
+    alarms = [levels_of(rng.normal(size=3000), [1000, 100, 900, 1000]).differ for _ in range(400)]
+    assert sum(alarms) <= 12  # 1 % is chance
 
 
 def test_what_differs_within_a_run_does_not_tell_runs_apart() -> None:
     """Loud and quiet seconds, drawn alike in every run."""
-    rng, alarms = np.random.default_rng(5), 0
-    starts, lengths = np.arange(4) * 1000, np.full(4, 1000)
-    for _ in range(200):
-        within = np.repeat(np.exp(0.5 * rng.normal(size=32)), 125)
-        alarms += run_levels(_column((within * rng.normal(size=4000)) ** 2), starts, lengths).differ
-    assert alarms <= 8
+    rng = np.random.default_rng(5)
+    alarms = [levels_of(np.repeat(np.exp(0.5 * rng.normal(size=32)), 125) * rng.normal(size=4000), [1000] * 4).differ
+              for _ in range(200)]
+    assert sum(alarms) <= 8
 
 
 def test_levels_are_drawn_to_the_mean_by_what_a_run_does_not_know() -> None:
-    rng, drawn = np.random.default_rng(6), []
-    starts, lengths = np.array([0, 1000, 2000, 3000, 4000]), np.array([1000, 1000, 1000, 1000, 50])
+    rng, drawn, lengths = np.random.default_rng(6), [], [1000, 1000, 1000, 1000, 50]
     true = np.repeat([1.0, 1.5, 0.7, 1.2, 2.0], lengths)
     for _ in range(100):
-        found = run_levels(_column((true * rng.normal(size=4050)) ** 2), starts, lengths)
+        found = levels_of(true * rng.normal(size=4050), lengths)
         assert found.differ
         drawn.append(found.ratio / found.ratio[0])
     mean = np.mean(drawn, axis=0)
@@ -109,16 +108,9 @@ def test_levels_are_drawn_to_the_mean_by_what_a_run_does_not_know() -> None:
 
 def test_runs_whose_noise_the_motion_took_say_nothing() -> None:
     """The second run's latents took 98 % of its samples: what little is left over is no quiet channel."""
-    rng = np.random.default_rng(7)
-    starts, lengths = np.arange(4) * 1000, np.full(4, 1000)
-    scale = np.repeat([1.0, 0.01, 1.0, 1.0], 1000)
-    column = _column((scale * rng.normal(size=4000)) ** 2)
-    found = run_levels(column._replace(taken=np.array([0.0, 980.0, 0.0, 0.0])), starts, lengths)
+    noise = np.repeat([1.0, 0.01, 1.0, 1.0], 1000) * np.random.default_rng(7).normal(size=4000)
+    found = levels_of(noise, [1000] * 4, 980.0)
     assert not found.differ and found.ratio[1] > 0.9
-
-
-def _column(square: FloatArray) -> Column:
-    return Column("gyro_radps", square, np.ones(square.size), np.zeros(1), "gyro", 0, 1.0, 0.0)
 
 
 @pytest.mark.parametrize("imus", [1, 2])

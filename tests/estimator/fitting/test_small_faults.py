@@ -1,7 +1,5 @@
 """Fits take small faults of sensors off the readings where the runs show them, and say so."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 
@@ -43,7 +41,7 @@ def test_parameters_of_a_leg_with_a_lab_s_sensors_are_nearer_to_the_truth() -> N
     assert all(a <= b <= c for a, b, c in zip(low, leg().beta(), high, strict=False))
 
 
-@pytest.mark.parametrize(("faults", "spring"), [({}, 0.0), ({}, 0.6), ({"gyro_scale": 0.06}, 0.0)])
+@pytest.mark.parametrize("faults, spring", [({}, 0.0), ({}, 0.6), ({"gyro_scale": 0.06}, 0.0)])
 def test_right_sensors_a_law_and_a_large_fault_are_left_as_they_are(faults: dict[str, float], spring: float) -> None:
     result = fitted(faults, {}, spring)
     told = [text for text in result.assumptions if text.startswith(SAID)]

@@ -1,7 +1,5 @@
 """The budget of a fit: intervals that hold what may be wrong with a rig, and parts that add up to them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +29,7 @@ def test_parts_add_up_and_the_largest_is_the_torque_constant(count: int) -> None
     budget = result.budget
     assert np.sum([part.covariance for part in budget.parts], axis=0) == pytest.approx(result.covariance, rel=1e-6)
     gain = budget.part("torque_gain")
-    assert gain is not None and gain.tolerance == (0.05,)
+    assert gain.tolerance == (0.05,)
     assert gain.std == pytest.approx(0.05 * np.abs(result.beta - budget.moved), rel=1e-6)
     assert all((gain.std[:5] > part.std[:5]).all() for part in budget.parts if part is not gain)
 
@@ -58,7 +56,7 @@ def test_a_parameter_that_is_known_tells_the_torque_constant() -> None:
     free = fitted(leg, runs, DEFAULTS).budget
     told = fitted(leg, runs, replace(DEFAULTS, fixed=known)).budget
     before, after = free.part("torque_gain"), told.part("torque_gain")
-    assert before is not None and after is not None and after.std[0] < 0.3 * before.std[0]
+    assert after.std[0] < 0.3 * before.std[0]
 
 
 def test_a_gyro_within_its_tolerance_is_learnt_where_the_runs_show_it() -> None:
@@ -75,4 +73,4 @@ def test_stated_tolerances_go_before_the_defaults() -> None:
     small = fitted(leg, runs, FitOptions(tolerances={"torque_gain": (0.001,), "none": ()}))
     assert [part.source for part in small.budget.parts if part.source not in ("noise", "scatter")] == ["torque_gain"]
     one = fitted(leg, runs, FitOptions(tolerances={"joint_stiffness@2": (0.2,), "none": ()})).budget
-    assert one is not None and one.part("joint_stiffness@2") is not None and one.part("joint_stiffness@1") is None
+    assert one.part("joint_stiffness@2") is not None and one.part("joint_stiffness@1") is None

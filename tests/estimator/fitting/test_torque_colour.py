@@ -1,7 +1,5 @@
 """What a right model leaves in a torque residual, against the dense covariance of a smoother's residual."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -17,6 +17,7 @@ from estimator.model import leg2
 from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
 from tests.support.prescribed import BETA, arm_run
+from tests.support.shell import Shell
 
 LEG, G, N = Leg(), 9.81, 600
 TIME = np.arange(N) / 100.0
@@ -75,11 +76,11 @@ def rows_with_numbers(out: str) -> list[str]:
     return [row[0] for row in rows if row[0].isalnum() and row[1] != "not"]  # a sentence may begin with a name
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS)
+@pytest.mark.parametrize("method, sensors", WAYS)
 def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_path: Path,
-                                             capsys: pytest.CaptureFixture[str]) -> None:
+                                             shell: Shell) -> None:
     status, document = run_fit(tmp_path, at_rest(), LEG_RIG, "--method", method, "--sensors", sensors)
-    printed = capsys.readouterr()
+    printed = shell.read()
     assert status == 1
     said = printed.err.strip().splitlines()[-1]
     assert "does not determine" in said
@@ -88,12 +89,12 @@ def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_p
     assert document is None or all(p["value"] is None for p in document["parameters"])
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS)
+@pytest.mark.parametrize("method, sensors", WAYS)
 def test_a_knee_that_never_moves(method: Method, sensors: str, tmp_path: Path,
-                                 capsys: pytest.CaptureFixture[str]) -> None:
+                                 shell: Shell) -> None:
     """Its friction is not seen; its inertia is not told from the upper link's; the passive row has no scale."""
     run_fit(tmp_path, knee_locked(), LEG_RIG, "--method", method, "--sensors", sensors)
-    printed = capsys.readouterr()
+    printed = shell.read()
     said = printed.out + printed.err
     for name in ("beta7", "beta9"):
         assert f"not determined by this data: {name}\n" in said or f", {name}" in said
@@ -113,9 +114,9 @@ def amounts_of(name: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("method", ["mle", "wls", "rls", "hekf"])
-def test_two_collinear_columns(method: Method, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_collinear_columns(method: Method, tmp_path: Path, shell: Shell) -> None:
     _, document = run_fit(tmp_path, pure_sine(), JOINT_RIG, "--method", method)
-    printed = capsys.readouterr()
+    printed = shell.read()
     assert rows_with_numbers(printed.out) == ["beta3", "beta4"]
     assert document is not None
     (combination,) = document["undetermined"]
@@ -132,15 +133,15 @@ def test_a_given_parameter_frees_the_other(tmp_path: Path) -> None:
     assert document["parameters"][0]["value"] == pytest.approx(0.1, rel=0.1)
 
 
-def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, shell: Shell) -> None:
     model = tmp_path / "model.json"
     status, _ = run_fit(tmp_path, knee_locked(), LEG_RIG, "--method", "wls", "--model-out", str(model))
     assert status == 1
     assert not model.exists()
-    assert "no model was written: this data does not determine" in capsys.readouterr().err
+    assert "no model was written: this data does not determine" in shell.err
 
 
-@pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
+@pytest.mark.parametrize("method, sensors", WAYS[2:])
 def test_a_good_record_is_not_accused(method: Method, sensors: str) -> None:
     run = record(LEG, np.random.default_rng(5), seconds=4.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()

@@ -1,7 +1,5 @@
 """Torque between samples that no sample shows: its rows and likelihood against differences, its level on PD legs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -94,7 +92,7 @@ def test_the_torque_s_colour_knows_of_it() -> None:
     assert found[1] == pytest.approx(residual_colour(problem, state, 0.01), abs=0.1)
 
 
-@pytest.mark.parametrize(("loop", "counts", "there"), [("pd", 4096, True), ("open", 4096, False)])
+@pytest.mark.parametrize("loop, counts, there", [("pd", 4096, True), ("open", 4096, False)])
 def test_a_loop_faster_than_the_log_leaves_sensors_their_noise(loop: str, counts: int, there: bool) -> None:
     """By an integrator of its own: torque 0.01 N m, gyro 0.005 rad/s, accelerometer 0.05 m/s2."""
     rng = np.random.default_rng(31)

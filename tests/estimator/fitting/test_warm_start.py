@@ -1,7 +1,5 @@
 """A long record's fit from an excerpt: the same answer in fewer steps, and no excerpt where none would do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

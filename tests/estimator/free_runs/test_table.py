@@ -1,7 +1,5 @@
 """The table of errors: what is read off it by hand, and intervals that hold as often as they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,7 +71,7 @@ def test_models_of_two_tables_are_joined() -> None:
     assert both.runs[0].trace("q1_rad", 1) == pytest.approx(WAVE["q1_rad"] + 0.3)
 
 
-@pytest.mark.parametrize(("runs", "blocks", "common"), [(1, 30, 0.0), (8, 10, 0.0), (8, 10, 1.0)])
+@pytest.mark.parametrize("runs, blocks, common", [(1, 30, 0.0), (8, 10, 0.0), (8, 10, 1.0)])
 def test_intervals_of_a_ratio_hold_it_as_often_as_they_say(runs: int, blocks: int, common: float) -> None:
     """Blocks of one run share an error of their own (`common`); the true ratio is 1.3."""
     rng = np.random.default_rng(2)

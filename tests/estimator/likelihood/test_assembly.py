@@ -1,11 +1,10 @@
 """Compiled normal equations against those by arrays: every mechanism, every effect, any number of columns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator import Effect
 from estimator.effects import library
@@ -19,6 +18,7 @@ from tests.support.equations import normal
 
 COUNTS = (70, 45)
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
+LIBRARY = library(leg2(lever_arm=0.2), True)[0]
 
 
 def segments(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[SignalSet]:
@@ -56,7 +56,7 @@ def assert_motion_alone(problem: LatentProblem, x: Latents, beta: np.ndarray) ->
     whole, alone = problem.linearise(x, beta, noise), problem.motion_equations(x, beta, noise)
     assert alone.chain.width == 1 and alone.objective == pytest.approx(whole.objective, rel=1e-12)
     known = whole.chain.first(1).rows
-    np.testing.assert_allclose(alone.chain.rows, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
+    assert_allclose(alone.chain.rows, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
     assert np.array_equal(alone.accel, whole.accel[..., : problem.block + 1])
 
 
@@ -64,10 +64,10 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
     assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
     for name, known in normal(plain).items():
         atol = 1e-10 * np.abs(known).max(initial=0.0)
-        np.testing.assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
+        assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
     for name, known in plain.residuals.items():
-        np.testing.assert_allclose(fast.residuals[name], known, rtol=0.0, atol=1e-10 * np.abs(known).max(),
-                                   err_msg=name)
+        assert_allclose(fast.residuals[name], known, rtol=0.0, atol=1e-10 * np.abs(known).max(),
+                        err_msg=name)
 
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
@@ -102,28 +102,29 @@ def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Ge
     return LatentProblem(segments(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
 
 
-@pytest.mark.parametrize("effect", library(leg2(lever_arm=0.2), True)[0], ids=lambda e: f"{e.name}-{e.joint}")
-def test_every_effect(effect: Effect, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(12)
-    problem = staged([effect], [], rng)
-    size = [s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes]
-    x = latents(problem.mechanism, rng)
-    assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch))
-    assert_motion_alone(problem, x, np.append(BETA, size))
+@pytest.mark.parametrize("effects", [[e] for e in LIBRARY], ids=lambda e: f"{e[0].name}-{e[0].joint}")
+def test_every_effect(effects: list[Effect], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert_motion_alone(*assert_fast(effects, monkeypatch))
 
 
 @pytest.mark.parametrize("correlation", [-0.9, 0.8])
 def test_axes_that_correlate(correlation: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(15)
-    problem = staged(library(leg2(lever_arm=0.2), True)[0][:6], [], rng)
-    size = np.concatenate([[s.scale for s in e.sizes] + [s.grid[-1] for s in e.shapes] for e in problem.effects])
+    assert_fast(LIBRARY[:6], monkeypatch, correlation)
+
+
+def assert_fast(effects: list[Effect], monkeypatch: pytest.MonkeyPatch, correlation: float = 0.0
+                ) -> tuple[LatentProblem, Latents, np.ndarray]:
+    rng = np.random.default_rng(12)
+    problem = staged(effects, [], rng)
+    beta = np.concatenate([BETA, *([s.scale for s in e.sizes] + [s.grid[-1] for s in e.shapes] for e in effects)])
     x = latents(problem.mechanism, rng)
-    assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch, correlation))
+    assert_alike(*both(problem, x, beta, monkeypatch, correlation))
+    return problem, x, beta
 
 
 def test_more_columns_than_have_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(13)
-    candidates = [Candidate(e, shape) for e in library(leg2(lever_arm=0.2), True)[0] for shape in e.grid()]
+    candidates = [Candidate(e, shape) for e in LIBRARY for shape in e.grid()]
     problem = staged([], candidates, rng)
     plain, fast = both(problem, latents(problem.mechanism, rng), BETA, monkeypatch)
     assert plain.chain.edge > 24
@@ -135,6 +136,6 @@ def test_cosine_and_sine_of_far_angles() -> None:
     angle = np.concatenate([np.random.default_rng(14).uniform(-1e5, 1e5, 5000), np.linspace(-7.0, 7.0, 5000),
                             np.arange(-40, 41) * np.pi / 4, [0.0, -0.0]])
     cosine, sine = FastTerms(joint1()).transposed(angle[None, None])
-    np.testing.assert_allclose(cosine[0, 0], np.cos(angle), rtol=0.0, atol=2.5e-16)
-    np.testing.assert_allclose(sine[0, 0], np.sin(angle), rtol=0.0, atol=2.5e-16)
+    assert_allclose(cosine[0, 0], np.cos(angle), rtol=0.0, atol=2.5e-16)
+    assert_allclose(sine[0, 0], np.sin(angle), rtol=0.0, atol=2.5e-16)
     assert np.isnan(FastTerms(joint1()).transposed(np.full((1, 1, 1), np.nan))).all()

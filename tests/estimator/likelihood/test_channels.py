@@ -1,7 +1,5 @@
 """Channels of a chain of more than nine joints, and one subtraction of what effects add to the torque's reading."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ def problem_of(effect: Effect, rng: np.random.Generator) -> tuple[LatentProblem,
     return problem, x, beta, Noise(np.full(LINKS, 0.05), np.full(LINKS, 1e-3))
 
 
-@pytest.mark.parametrize(("name", "joint"), [("torque_offset", None), ("encoder_offset", 10), ("joint_elasticity", 9)])
+@pytest.mark.parametrize("name, joint", [("torque_offset", None), ("encoder_offset", 10), ("joint_elasticity", 9)])
 def test_a_chain_of_eleven_joints_keeps_its_channels_apart(name: str, joint: int | None) -> None:
     """What a step foresees of every residual is what the moved point has; joint 11 is not joint 1."""
     rng = np.random.default_rng(4)

@@ -1,7 +1,5 @@
 """Free runs under a command: the loop makes the torque of the simulated motion, MuJoCo being the plant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -58,7 +56,7 @@ def test_a_free_run_follows_the_command_as_the_leg_did(loop: str) -> None:
         assert (error < 3.0 * QUANTUM).all(), error / QUANTUM
 
 
-@pytest.mark.parametrize(("faults", "heard"), [
+@pytest.mark.parametrize("faults, heard", [
     (ServoFaults(encoder_scale=0.05), 1.0), (ServoFaults(log_scale=0.05), 0.0)])
 def test_a_scale_is_wrong_for_the_loop_as_well_or_in_the_log_alone(faults: ServoFaults, heard: float) -> None:
     """The right one of both has no residual, and free runs that follow the command as the leg did."""

@@ -1,7 +1,5 @@
 """Torque samples with a full covariance: objective and its derivatives against sums written out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from estimator.signals import SignalSet
 COUNT = 30
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
 CORRELATION = np.array([[1.0, -0.7], [-0.7, 1.0]])
-NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
+NAMED = {kind.name: kind for kind in classes()}
 
 
 def posed(*effects: Effect) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
@@ -56,7 +54,7 @@ def test_no_correlation_declared_as_such_changes_nothing() -> None:
     np.testing.assert_allclose(one.chain.rows, other.chain.rows, rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "joint", "h"), [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
+@pytest.mark.parametrize("name, joint, h", [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
 def test_derivatives_by_torque_and_sizes_are_those_of_the_objective(name: str, joint: int | None, h: float) -> None:
     problem, x, beta, noise = posed(NAMED[name](joint))
     point, n = problem.linearise(x, beta, noise), 2

@@ -1,11 +1,10 @@
 """The coloured disturbance: its rows against dense matrices, its innovations, its share of the degrees of freedom."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator.likelihood import LatentProblem, Latents, Noise, Process
 from estimator.model import Mechanism, joint1, leg2
@@ -33,9 +32,9 @@ def test_rows_are_the_inverse_covariance() -> None:
     for j, level in enumerate((0.03, 0.05e-3)):
         known = covariance(level, NOISE.time_constant[j], ENDS)
         precision = np.linalg.inv(known)
-        np.testing.assert_allclose(chain.diagonal[:, j, j], np.diag(precision), rtol=1e-8)
-        np.testing.assert_allclose(chain.lower[:, j, j], np.diag(precision, -1), rtol=1e-8, atol=1e-6)
-        np.testing.assert_allclose(chain.right[:, j, 0], precision @ e[:, j], rtol=1e-6)
+        assert_allclose(chain.diagonal[:, j, j], np.diag(precision), rtol=1e-8)
+        assert_allclose(chain.lower[:, j, j], np.diag(precision, -1), rtol=1e-8, atol=1e-6)
+        assert_allclose(chain.right[:, j, 0], precision @ e[:, j], rtol=1e-6)
         assert process.squares(e, ENDS)[j] == pytest.approx(e[:, j] @ precision @ e[:, j], rel=1e-9)
     both = sum(np.linalg.slogdet(covariance(level, NOISE.time_constant[j], ENDS))[1]
                for j, level in enumerate((0.03, 0.05e-3)))
@@ -85,4 +84,4 @@ def test_a_disturbance_that_is_off_changes_nothing(mechanism: Mechanism, imu: bo
         product = eliminate(point.chain).product()
         found.append((point.objective, point.objective - product[0, 0], point.corner - product[1:, 1:]))
     for known, value in zip(*found, strict=True):
-        np.testing.assert_allclose(value, known, rtol=2e-5, atol=2e-5 * np.max(np.abs(known)))
+        assert_allclose(value, known, rtol=2e-5, atol=2e-5 * np.max(np.abs(known)))

@@ -1,7 +1,5 @@
 """Torque laws of effects in a simulation: their derivatives, and motion that they change."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 
@@ -27,30 +25,37 @@ from tests.support.mujoco_leg import Leg, record
 
 FloatArray = NDArray[np.float64]
 REACH = np.array([[-1.0, 1.0], [-1.0, 1.0]])
+BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
+LEG = leg2(lever_arm=0.2)
 
 
-def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: list[Effect]) -> LatentProblem:
+def problem_of(mechanism: Mechanism, torque: np.ndarray, effects: list[Effect]) -> LatentProblem:
+    count = len(torque)
     grid = np.arange(count) / 100.0
     imu = {c: np.zeros(count) for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")} if mechanism.n > 1 else {}
     signals = SignalSet("r", 100.0, grid, np.zeros((count, mechanism.n)), torque, imu)
     return LatentProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
 
 
+def at(latents: Latents, beta: np.ndarray) -> State:
+    return State(latents, beta, Noise(*np.ones((2, latents.q.shape[1]))), np.eye(beta.size))
+
+
+def at_rest(beta: np.ndarray, torque: np.ndarray) -> State:
+    return at(Latents(np.zeros_like(torque), np.zeros_like(torque), torque), beta)
+
+
+def knee_sine(count: int, amplitude: float, step: float) -> np.ndarray:
+    """Torques (count, 2) of a motor at the knee."""
+    return np.column_stack([np.zeros(count), amplitude * np.sin(step * np.arange(count))])
+
+
 def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
     """(J + Jr) qdd = tau - ...: with Jr = 3 J the rotor's torque, found from the acceleration, would feel itself with
     a gain of three."""
-    count = 300
-    torque = 0.8 * np.sin(np.arange(count) * 0.05)[:, None]
-    light = np.array([0.02, 0.1, 0.03, 0.05])
-    heavy = light + np.array([0.06, 0.0, 0.0, 0.0])
-    runs = []
-    for beta, effects in ((np.append(light, 0.06), [RotorInertia(0)]), (heavy, [])):
-        problem = problem_of(joint1(), count, torque, list(effects))
-        still = np.zeros((count, 1))
-        state = State(Latents(still, still, torque), beta, Noise(np.ones(1), np.ones(1)), np.eye(beta.size))
-        run = free_run(problem, state, torque)
-        assert run is not None
-        runs.append(run)
+    torque = 0.8 * np.sin(np.arange(300) * 0.05)[:, None]
+    runs = [free_run(problem_of(joint1(), torque, list(effects)), at_rest(np.array(beta), torque), torque)
+            for beta, effects in (([0.02, 0.1, 0.03, 0.05, 0.06], [RotorInertia(0)]), ([0.08, 0.1, 0.03, 0.05], []))]
     assert np.ptp(runs[0].q) > 1.0
     assert runs[0].q == pytest.approx(runs[1].q, abs=1e-7)
 
@@ -59,20 +64,17 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
 def test_a_state_solved_with_the_motion_is_that_found_by_iteration(displacement: float,
                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     """... and costs one simulation, where stiff bristles over two seconds cost hundreds."""
-    count = 200
-    torque = 0.4 * np.sin(0.08 * np.arange(count))[:, None]
-    beta = np.array([0.02, 0.1, 0.03, 0.05, 0.05, 0.01, displacement])
-    problem = problem_of(joint1(), count, torque, [PreslidingFriction(0)])
-    still = np.zeros((count, 1))
-    state = State(Latents(still, still, torque), beta, Noise(np.ones(1), np.ones(1)), np.eye(beta.size))
+    torque = 0.4 * np.sin(0.08 * np.arange(200))[:, None]
+    problem = problem_of(joint1(), torque, [PreslidingFriction(0)])
+    state = at_rest(np.array([0.02, 0.1, 0.03, 0.05, 0.05, 0.01, displacement]), torque)
     module, calls = sys.modules[free_run.__module__], []
     simulate = module.simulate
     monkeypatch.setattr(module, "simulate", lambda *args: calls.append(1) or simulate(*args))
     found = free_run(problem, state, torque)
-    assert found is not None and np.ptp(found.q) > 0.5 and len(calls) == 1
+    assert np.ptp(found.q) > 0.5 and len(calls) == 1
     monkeypatch.setattr(module, "_remembers", lambda effect: True)
     again = free_run(problem, state, torque)
-    assert again is not None and len(calls) > 5
+    assert len(calls) > 5
     assert found.q == pytest.approx(again.q, abs=2e-5)
 
 
@@ -83,16 +85,13 @@ def test_pieces_simulated_together_are_those_simulated_one_by_one(
     """Each piece begins at the state that it is given, whatever the one before it ended with; torque over ends of
     pieces is linear, so nothing else joins them."""
     rng = np.random.default_rng(3)
-    count, beta = 200, np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06, *sizes])
-    problem = problem_of(leg2(lever_arm=0.2), count, np.zeros((count, 2)), effects)
-    torque = np.column_stack([np.zeros(count), 0.8 * np.sin(0.1 * np.arange(count))])
-    still = np.zeros((count, 2))
-    whole = free_run(problem, State(Latents(still, still, torque), beta, Noise(np.ones(2), np.ones(2)),
-                                    np.eye(beta.size)), torque)
-    assert whole is not None and np.ptp(whole.q) > 0.5
-    given = Latents(whole.q + rng.normal(scale=0.01, size=(count, 2)), whole.v + rng.normal(scale=0.1, size=(count, 2)),
+    beta, torque = np.append(BETA, sizes), knee_sine(200, 0.8, 0.1)
+    problem = problem_of(LEG, np.zeros((200, 2)), effects)
+    whole = free_run(problem, at_rest(beta, torque), torque)
+    assert np.ptp(whole.q) > 0.5
+    given = Latents(whole.q + rng.normal(scale=0.01, size=(200, 2)), whole.v + rng.normal(scale=0.1, size=(200, 2)),
                     torque)
-    state = State(given, beta, Noise(np.ones(2), np.ones(2)), np.eye(beta.size))
+    state = at(given, beta)
     with monkeypatch.context() as patched:
         patched.delattr(_Plant, "run")
         together = free_run(problem, state, torque, 0.1)
@@ -109,27 +108,25 @@ def test_a_piece_that_diverges_stays_still_and_leaves_the_others_alone(monkeypat
     """A servo's friction of a negative level ran off in one piece of a tenth of a second, and all pieces of the run
     were taken for lost: 12.6 times the noise alone instead of 1.1."""
     module = sys.modules[free_run.__module__]
-    plain, count = module.simulate, 200
+    plain = module.simulate
 
     def sometimes(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, *rest: Any) -> tuple[FloatArray, ...]:
         found = plain(mechanism, beta, q0, *rest)
         lost = len(rest) == 8 or q0[1] == 0.5
         return tuple(np.full_like(x, np.nan) for x in found) if lost else found
 
-    torque = np.column_stack([np.zeros(count), 0.3 * np.sin(0.1 * np.arange(count))])
-    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
-    given = Latents(np.zeros((count, 2)), np.zeros((count, 2)), torque)
-    given.q[100, 1] = 0.5
-    problem = problem_of(leg2(lever_arm=0.2), count, np.zeros((count, 2)), [])
-    state = State(given, beta, Noise(np.ones(2), np.ones(2)), np.eye(9))
+    torque = knee_sine(200, 0.3, 0.1)
+    state = at_rest(BETA, torque)
+    state.x.q[100, 1] = 0.5
+    problem = problem_of(LEG, np.zeros((200, 2)), [])
     whole = free_run(problem, state, torque, 0.1)
     monkeypatch.setattr(module, "simulate", sometimes)
     assert whole is not None and free_run(problem, state, torque, 0.1) is None
     found = free_run(problem, state, torque, 0.1, or_still=True)
     lost = slice(100, 110)
-    assert found is not None and np.all(found.q[lost, 1] == 0.5) and np.all(found.v[lost] == 0.0)
-    kept = np.setdiff1d(np.arange(count), np.arange(100, 110))
-    assert found.q[kept] == pytest.approx(whole.q[kept], abs=1e-6)
+    assert np.all(found.q[lost, 1] == 0.5) and np.all(found.v[lost] == 0.0)
+    kept, known = (np.delete(run.q, lost, axis=0) for run in (found, whole))
+    assert kept == pytest.approx(known, abs=1e-6)
 
 
 def swing(leg: Leg, stand: tuple[float, float, float], time: FloatArray, torque: FloatArray) -> FloatArray:
@@ -165,36 +162,26 @@ def test_a_free_run_on_a_stand_near_its_resonance_converges() -> None:
     th1, th2, w1, w2 = swing(leg, stand, time, torque).T
     q, v = np.stack([th1, th2 - th1], axis=-1), np.stack([w1, w2 - w1], axis=-1)
     tau = np.stack([np.zeros_like(torque), torque], axis=-1)
-    problem = problem_of(leg2(lever_arm=leg.lever), len(time), tau, [BaseCompliance()])
     beta = np.concatenate([leg.beta()[:7], [0.0, 0.0], stand])
-    noise = Noise(np.full(2, 0.01), np.full(2, 1e-3))
-    found = free_run(problem, State(Latents(q, v, tau), beta, noise, np.zeros((12, 12))), tau)
-    assert found is not None and np.abs(q).max() > 0.8
+    found = free_run(problem_of(LEG, tau, [BaseCompliance()]), at(Latents(q, v, tau), beta), tau)
+    assert np.abs(q).max() > 0.8
     assert found.q == pytest.approx(q, abs=2e-5)
 
 
 def test_a_stand_that_does_not_yield_is_none() -> None:
-    time = np.arange(200) / 100.0
-    tau = np.stack([np.zeros_like(time), 0.1 * np.sin(5.0 * time)], axis=-1)
-    noise, rest = Noise(np.full(2, 0.01), np.full(2, 1e-3)), Latents(np.zeros_like(tau), np.zeros_like(tau), tau)
-    found = []
-    cases: list[tuple[list[Effect], list[float]]] = [([], []), ([BaseCompliance()], [0.0, 3.0, 0.1])]
-    for effects, size in cases:
-        problem = problem_of(leg2(lever_arm=0.2), len(time), tau, effects)
-        beta = np.array([*Leg().beta(), *size])
-        found.append(free_run(problem, State(rest, beta, noise, np.zeros((len(beta),) * 2)), tau))
-    assert found[0] is not None and found[1] is not None and np.abs(found[0].q).max() > 0.05
-    assert found[1].q == pytest.approx(found[0].q, abs=1e-9)
+    tau, beta = knee_sine(200, 0.1, 0.05), Leg().beta()
+    plain = free_run(problem_of(LEG, tau, []), at_rest(beta, tau), tau)
+    found = free_run(problem_of(LEG, tau, [BaseCompliance()]), at_rest(np.append(beta, [0.0, 3.0, 0.1]), tau), tau)
+    assert np.abs(plain.q).max() > 0.05
+    assert found.q == pytest.approx(plain.q, abs=1e-9)
 
 
 def test_readings_beyond_all_numbers_are_no_free_run() -> None:
     """They became a rehearsal without an encoder, and the diagnosis an internal error."""
     tau = np.zeros((100, 2))
-    problem = problem_of(leg2(lever_arm=0.2), 100, tau, [EncoderOffset(1)])
-    noise, rest = Noise(np.full(2, 0.01), np.full(2, 1e-3)), Latents(np.zeros((100, 2)), np.zeros((100, 2)), tau)
+    problem = problem_of(LEG, tau, [EncoderOffset(1)])
     for offset, runs in ((0.1, True), (np.inf, False)):
-        beta = np.array([*Leg().beta(), offset])
-        assert (free_run(problem, State(rest, beta, noise, np.zeros((10, 10))), tau) is not None) == runs
+        assert (free_run(problem, at_rest(np.append(Leg().beta(), offset), tau), tau) is not None) == runs
 
 
 @pytest.mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)
@@ -203,8 +190,8 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
     degrees of freedom are those of its whole derivative."""
     rng, count = np.random.default_rng(8), 60
     size = np.array([0.9] if effect.joint is None else [0.1, 0.02, 0.03, 1e-4, 0.2])
-    problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
-    beta = np.concatenate([[0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06], size])
+    problem = problem_of(LEG, rng.normal(size=(count, 2)), [effect])
+    beta = np.append(BETA, size)
     noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), np.ones(1), np.full((1, 2), 20.0))
     x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
     point = problem.linearise(x, beta, noise)
@@ -231,11 +218,9 @@ def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
     current, c = np.linspace(-1.0, 1.0, 41), 1.2
     torque = current / np.sqrt(1.0 + 2.0 * c * current**2)
     torque[-1] = 2.0  # more than the motor can give
-    problem = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [])
+    problem = problem_of(LEG, np.zeros((41, 2)), [])
     x = Latents(np.zeros((41, 2)), np.zeros((41, 2)), np.column_stack([np.zeros(41), torque]))
-    effect = TorqueSaturation()
-    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
-    added = effect.readings(problem.view(x, beta), np.array([c]))[torque_of(1)]
+    added = TorqueSaturation().readings(problem.view(x, BETA), np.array([c]))[torque_of(1)]
     assert (torque + added)[:-1] == pytest.approx(current[:-1])
     assert np.isfinite(added[-1]) and added[-1] > 10.0
 
@@ -243,7 +228,7 @@ def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
 def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     leg = Leg()
     runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
-    session = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    session = split_runs(runs, LEG, FitOptions(sensors="imu"))
     nominal = nominal_model(session)
     effect = StribeckFriction(1)
     low = effect.clipped(np.array([0.01, 1e-9, 2.0]))[1]
@@ -257,11 +242,9 @@ def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
 
 
 def test_an_effects_friction_near_rest_counts_with_the_coulomb_level() -> None:
-    problem = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [StribeckFriction(1)])
-    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06, 0.1, 0.2, 2.0])
-    assert problem.dry_levels(beta) == pytest.approx({0: 0.03, 1: 0.16})
-    plain = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [])
     rest = np.zeros((41, 2))
+    problem, beta = problem_of(LEG, rest, [StribeckFriction(1)]), np.append(BETA, [0.1, 0.2, 2.0])
+    assert problem.dry_levels(beta) == pytest.approx({0: 0.03, 1: 0.16})
     more = find_stiction(problem, rest, beta, one_per_crossing=False)[:, 0]
-    less = find_stiction(plain, rest, beta[:9], one_per_crossing=False)[:, 0]
+    less = find_stiction(problem_of(LEG, rest, []), rest, BETA, one_per_crossing=False)[:, 0]
     assert more[:, 0] == pytest.approx(less[:, 0]) and more[:, 1] == pytest.approx((0.16 / 0.06) ** 2 * less[:, 1])

@@ -1,7 +1,5 @@
 """The likelihood's normal equations: derivatives, pieces, and the minimum that an independent solver finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

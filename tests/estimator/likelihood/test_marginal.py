@@ -1,7 +1,5 @@
 """`log_marginal` against a dense covariance, quadrature, a change of units, and the marginal of a disturbance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -51,7 +49,7 @@ def exact(problem: LatentProblem, state: State) -> float:
     # states (q, v) at all samples as a linear map of: start (2), torques (n), two rows of the equation an interval
     unknown = 2 + n + 2 * (n - 1)
     maps = np.zeros((n, 2, unknown))
-    now: FloatArray = np.zeros((2, unknown))
+    now = np.zeros((2, unknown))
     now[0, 0] = now[1, 1] = 1.0
     maps[0] = now
     for k in range(n - 1):

@@ -1,7 +1,5 @@
 """What is refused before it would take all memory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The law of a position loop: which fault of a reading or of the loop it shows, in runs written down by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -52,10 +50,10 @@ def healthy(of: dict[str, Wave]) -> dict[str, FloatArray]:
     return {"q2_cmd_rad": of["command"](TIME), "q2_rad": of["angle"](TIME), "tau2_nm": torque(of, TIME)}
 
 
-def runs(spoil: Spoil = healthy, count: int = 4, seed: int = 1) -> list[Dataset]:
+def runs(spoil: Spoil = healthy, seed: int = 1) -> list[Dataset]:
     """With an encoder of 12 bits and noise of the torque."""
     found = []
-    for k in range(count):
+    for k in range(4):
         columns, rng = spoil(waves(10 * seed + k)), np.random.default_rng([seed, k])
         step = 2.0 * np.pi / 4096.0
         columns["q2_rad"] = np.round(columns["q2_rad"] / step) * step
@@ -88,12 +86,12 @@ def late_command(of: dict[str, Wave]) -> dict[str, FloatArray]:
 
 
 def dead(of: dict[str, Wave]) -> dict[str, FloatArray]:
-    error = of["command"](TIME) - of["angle"](TIME)
+    error = torque(of, TIME, 1.0)
     return {**healthy(of), "tau2_nm": 6.0 * np.sign(error) * np.maximum(np.abs(error) - 0.03, 0.0)}
 
 
 def integrating(of: dict[str, Wave]) -> dict[str, FloatArray]:
-    error = of["command"](TIME) - of["angle"](TIME)
+    error = torque(of, TIME, 1.0)
     return {**healthy(of), "tau2_nm": 6.0 * error + 9.0 * np.cumsum(error) / RATE_HZ}
 
 
@@ -102,7 +100,7 @@ def damped(of: dict[str, Wave]) -> dict[str, FloatArray]:
     return {**healthy(of), "tau2_nm": torque(of, TIME) - 0.2 * rate}
 
 
-FAULTS: dict[str, tuple[Spoil, float | None]] = {
+FAULTS = {
     "torque_delay": (late_torque, 0.02), "torque_saturation": (saturated, None), "encoder_scale": (scaled, 0.06),
     "encoder_eccentricity": (eccentric, None), "command_delay": (late_command, 0.03),
     "command_dead_band": (dead, 0.03), "missing_integral": (integrating, 1.5)}

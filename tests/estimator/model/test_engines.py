@@ -1,7 +1,5 @@
 """Other engines move the leg as the plant of `tests/support/timed_leg` does."""
 
-from __future__ import annotations
-
 import importlib
 
 import numpy as np

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator.model import biped3, land
 from studies.walker import CONSTRAINT_TANGENT, IMPACT_RAD, TORSO_RAD, impact, true_parameters
@@ -19,8 +20,8 @@ def test_it_is_that_of_the_extended_coordinates(seed: int) -> None:
     angle, rate = rng.uniform(-0.6, 0.6, 3), rng.normal(size=3)
     q, qd = land(biped3(hips=True), walker.beta, IN_HIPS @ angle, IN_HIPS @ rate)
     after = Plant(walker).land(angle, rate)
-    np.testing.assert_allclose(q, IN_HIPS @ angle[[1, 0, 2]], atol=1e-14)
-    np.testing.assert_allclose(qd, IN_HIPS @ after[[1, 0, 2]], atol=1e-12)
+    assert_allclose(q, IN_HIPS @ angle[[1, 0, 2]], atol=1e-14)
+    assert_allclose(qd, IN_HIPS @ after[[1, 0, 2]], atol=1e-12)
 
 
 def test_it_is_the_printed_one_in_the_papers_angles() -> None:
@@ -28,8 +29,8 @@ def test_it_is_the_printed_one_in_the_papers_angles() -> None:
     rate = 1.6 * CONSTRAINT_TANGENT
     wanted, wanted_rate = impact(rate)
     found, found_rate = land(biped3(), true_parameters(), q, rate)
-    np.testing.assert_allclose(found, wanted, atol=1e-14)
-    np.testing.assert_allclose(found_rate, wanted_rate, atol=1e-12)
+    assert_allclose(found, wanted, atol=1e-14)
+    assert_allclose(found_rate, wanted_rate, atol=1e-12)
 
 
 def test_mujoco_lands_the_same_way() -> None:
@@ -61,7 +62,7 @@ def test_mujoco_lands_the_same_way() -> None:
     solved = np.linalg.solve(np.block([[inertia, -foot.T], [foot, np.zeros((2, 2))]]),
                              np.append(inertia @ data.qvel, [0.0, 0.0]))
     _, found = land(biped3(hips=True), walker.beta, IN_HIPS @ angle, IN_HIPS @ rate)
-    np.testing.assert_allclose(found, IN_HIPS @ solved[2:5][[1, 0, 2]], atol=1e-9)
+    assert_allclose(found, IN_HIPS @ solved[2:5][[1, 0, 2]], atol=1e-9)
 
 
 def test_an_impact_takes_energy_and_a_wrong_beta_lands_otherwise() -> None:

@@ -1,10 +1,9 @@
 """Mechanisms against MuJoCo: inverse dynamics and the accelerometer's equations."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator.model import Mechanism, biped3, joint1, leg2
 from estimator.model.chain import chain
@@ -17,7 +16,7 @@ def motion(rng: np.random.Generator, joints: int) -> tuple[np.ndarray, np.ndarra
     return rng.uniform(-3, 3, (40, joints)), rng.normal(0, 3, (40, joints)), rng.normal(0, 20, (40, joints))
 
 
-@pytest.mark.parametrize(("parent", "mechanism"), [
+@pytest.mark.parametrize("parent, mechanism", [
     ((-1, 0), leg2()), ((-1, 0, 0), biped3(gravity_mps2=GRAVITY)), ((-1, 0, 1, 2, 3), chain(5))],
     ids=["leg", "walker", "chain"])
 def test_inverse_dynamics_are_those_of_mujoco(parent: tuple[int, ...], mechanism: Mechanism) -> None:
@@ -30,7 +29,7 @@ def test_inverse_dynamics_are_those_of_mujoco(parent: tuple[int, ...], mechanism
         mujoco.mj_inverse(model, data)
         known.append(data.qfrc_inverse.copy())
     tau = mechanism.inverse_dynamics(q, qd, qdd, tree.beta(mechanism))
-    np.testing.assert_allclose(tau, known, atol=1e-9 * np.abs(known).max())
+    assert_allclose(tau, known, atol=1e-9 * np.abs(known).max())
 
 
 @pytest.mark.parametrize("mechanism", [leg2(), biped3(), chain(4), joint1()], ids=lambda m: m.name)
@@ -39,7 +38,7 @@ def test_forward_dynamics_undoes_inverse(mechanism: Mechanism) -> None:
     beta = np.array([2.0 if a.term == "inertia" and a.at[0] == a.at[-1] else 0.1 for a in mechanism.parameters])
     q, qd, qdd = motion(rng, mechanism.n)
     tau = mechanism.inverse_dynamics(q, qd, qdd, beta)
-    np.testing.assert_allclose(mechanism.forward_dynamics(q, qd, tau, beta), qdd, atol=1e-9)
+    assert_allclose(mechanism.forward_dynamics(q, qd, tau, beta), qdd, atol=1e-9)
 
 
 def test_accelerometer_agrees_with_mujoco() -> None:
@@ -53,4 +52,4 @@ def test_accelerometer_agrees_with_mujoco() -> None:
         mujoco.mj_forward(model, data)
         ax, ay = accelerometer(data.qpos[:1], data.qvel[:1], data.qacc[:1], leg.lever, GRAVITY)
         s = data.sensordata  # x forward, z up along the link, rotation about -y
-        np.testing.assert_allclose([ax[0], ay[0], data.qvel[0]], [s[0], -s[2], -s[4]], atol=1e-9)
+        assert_allclose([ax[0], ay[0], data.qvel[0]], [s[0], -s[2], -s[4]], atol=1e-9)

@@ -18,7 +18,7 @@ def banded(blocks: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_banded((2 * b - 1, b - 1), band, right.T.ravel())).reshape(count, b)
 
 
-@pytest.mark.parametrize(("b", "count"), [(2, 1), (4, 31), (4, 97), (6, 64)])
+@pytest.mark.parametrize("b, count", [(2, 1), (4, 31), (4, 97), (6, 64)])
 def test_the_system_is_solved_with_rows_exchanged_in_a_block(b: int, count: int) -> None:
     rng = np.random.default_rng(b)
     blocks = rng.normal(size=(b, 2, b, count))

@@ -1,7 +1,5 @@
 """Kernels: compiled once, kept in Numba's cache, and never fed what they do not expect."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -1,13 +1,11 @@
 """Which kernel of OpenBLAS is the other one: never one that the processor lacks, never the usual one again."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.tools import other_kernel
 
 
-@pytest.mark.parametrize(("flags", "usual", "expected"), [
+@pytest.mark.parametrize("flags, usual, expected", [
     ({"avx512vl", "fma"}, "SkylakeX", "Haswell"), ({"avx512vl", "fma"}, "Haswell", "SkylakeX"),
     ({"fma"}, "Haswell", None), ({"fma"}, "Zen", "Haswell"), (set(), "neoversen1", None)])
 def test_the_other_kernel(flags: set[str], usual: str, expected: str | None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """One rule for information that a record may leave singular."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 The truth is a law written out here: added to residuals by hand, or acting in MuJoCo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -25,16 +23,15 @@ RUNS, SAMPLES = 6, 1000
 LEG = leg2(actuated=(1,))
 
 
-def points(rng: np.random.Generator, count: int = RUNS * SAMPLES) -> Points:
+def points(rng: np.random.Generator) -> Points:
     """Multisines of both joints and of the motor's torque."""
     t = np.arange(SAMPLES) * 0.01
     f = np.array([0.23, 0.61, 1.13])[:, None]
-    phase = rng.uniform(0.0, 2.0 * np.pi, (3, count // SAMPLES, 3, 1))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (3, RUNS, 3, 1))
     waves = np.sin(2.0 * np.pi * f * t + phase).sum(axis=2).reshape(3, -1)
     rates = (2.0 * np.pi * f * np.cos(2.0 * np.pi * f * t + phase)).sum(axis=2).reshape(3, -1)
-    q, v, u = 0.5 * waves[:2], 0.5 * rates[:2], np.stack([np.zeros(count), waves[2]])
-    nothing = np.zeros(count)
-    return Points(q, v, np.zeros_like(q), u, smooth_sign(v, FRICTION_VELOCITY), nothing, nothing, nothing)
+    q, v, u = 0.5 * waves[:2], 0.5 * rates[:2], np.stack([0.0 * waves[2], waves[2]])
+    return Points(q, v, np.zeros_like(q), u, smooth_sign(v, FRICTION_VELOCITY), *np.zeros((3, RUNS * SAMPLES)))
 
 
 def samples(law: Callable[[Points], FloatArray], noise: FloatArray, seed: int = 1) -> Samples:
@@ -44,8 +41,8 @@ def samples(law: Callable[[Points], FloatArray], noise: FloatArray, seed: int = 
     return Samples(at, residual, np.ones_like(residual), np.zeros(2), np.repeat(np.arange(RUNS), SAMPLES))
 
 
-def white(seed: int, level: float = 0.02) -> FloatArray:
-    return level * np.random.default_rng(seed).normal(size=RUNS * SAMPLES)
+def white(seed: int) -> FloatArray:
+    return 0.02 * np.random.default_rng(seed).normal(size=RUNS * SAMPLES)
 
 
 def test_tables_interpolate_and_keep_their_edges() -> None:
@@ -69,7 +66,7 @@ def test_tables_interpolate_and_keep_their_edges() -> None:
     assert outside_range([law], at)["angle of joint 2"] == pytest.approx(share) and share > 0.0
 
 
-LAWS: dict[str, Callable[[Points], FloatArray]] = {
+LAWS = {
     "angle": lambda at: 0.1 * np.exp(-(((at.q[1] - 0.2) / 0.15) ** 2)),
     "rate": lambda at: 0.1 * at.v[1] / (1.0 + at.v[1] ** 2),
     "angle and direction": lambda at: 0.06 * at.sign[1] * (1.0 + np.sin(4.0 * at.q[1])),
@@ -81,7 +78,7 @@ LAWS: dict[str, Callable[[Points], FloatArray]] = {
 @pytest.mark.parametrize("name", LAWS)
 def test_a_hidden_law_is_within_its_bands(name: str) -> None:
     found = learn_torque(samples(LAWS[name], white(2)), 1, LEG)
-    assert found is not None and found.noise_nm == pytest.approx(0.02, rel=0.05)
+    assert found.noise_nm == pytest.approx(0.02, rel=0.05)
     at = points(np.random.default_rng(3))
     truth, learnt, std = LAWS[name](at), found.law.torque(at), found.std(at)
     assert np.mean(np.abs(learnt - truth) < 1.96 * std) > 0.9

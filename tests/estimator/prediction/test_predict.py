@@ -1,7 +1,5 @@
 """How far models predict: closed forms, the noise floor, and what `legid validate` prints of it."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace
@@ -26,7 +24,7 @@ from estimator.prediction import (
 from estimator.signals import split_signals
 from experiments.cli.main import build_parser
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, swing_run, written
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 ARM = leg2(actuated=(0, 1))
 OPTIONS = FitOptions(sensors="encoder")
@@ -125,20 +123,17 @@ def test_the_default_horizons_are_those_of_the_help() -> None:
 
 def test_validate_prints_horizons_with_baseline_noise_and_another_model(tmp_path: Path, shell: Shell) -> None:
     runs = written([arm_run(k, seconds=6.0) for k in range(3)], tmp_path)
-    rig, model, other, out = (tmp_path / name for name in ("rig.toml", "model.json", "other.json", "out.json"))
+    rig, model, other = (tmp_path / name for name in ("rig.toml", "model.json", "other.json"))
     rig.write_text(ARM_RIG)
     shell("fit", *runs[:2], "--rig", rig, "--model-out", model)
-    document = json.loads(model.read_text())
-    document["parameters"][3]["value"] *= 1.2
-    other.write_text(json.dumps(document))
+    raised = json.loads(model.read_text())
+    raised["parameters"][3]["value"] *= 1.2
+    other.write_text(json.dumps(raised))
     shell.read()
-    words = ["validate", str(model), *runs[1:], "--rig", str(rig), "--against", str(other), "--json", str(out),
-             "--horizons", "0.25,0.1"]
-    shell(*words)
+    found = document("validate", model, *runs[1:], "--rig", rig, "--against", other, "--horizons 0.25,0.1")
     printed = shell.read()
     assert "model.json was fitted to run1.csv" in printed.err and "run2.csv" not in printed.err
     assert "last velocity" in printed.out and "noise alone" in printed.out
-    found = json.loads(out.read_text())
     assert found["fitted_to"] == ["run1.csv"]
     assert [h["horizon_s"] for h in found["horizons"]] == pytest.approx([0.1, 0.25, 1.0, 5.99])
     for h in found["horizons"]:

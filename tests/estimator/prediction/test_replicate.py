@@ -1,7 +1,5 @@
 """Rehearsals have the noise of the records: each axis' own level, and what is declared of correlations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What repeats from run to run is structure; what does not is a disturbance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq import FloatArray

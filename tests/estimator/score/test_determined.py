@@ -1,9 +1,6 @@
 """Sets of effects whose sizes the runs do not determine, on a simulated leg."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -91,7 +88,7 @@ def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContex
 def test_sizes_are_determined_where_the_other_columns_leave_information() -> None:
     rng, runs = np.random.default_rng(3), []
     for _ in range(4):
-        rows: Any = rng.normal(size=(50, 4))
+        rows = rng.normal(size=(50, 4))
         rows[:, 1] = rows[:, 0] + 1e-4 * rows[:, 1]  # a share of 1e-8 is its own
         rows[:, 3] = rows[:, 2] + 0.1 * rows[:, 3]  # a share of 0.01
         runs.append(Score(np.zeros(4), rows.T @ rows))

@@ -1,7 +1,5 @@
 """What runs disagree about: statistics held against the textbook's own formulas, and fits of legs that change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -165,12 +163,12 @@ def fitted(runs: list[Dataset], **more: object) -> FitResult:
 def test_a_leg_whose_friction_changes_is_found_out_and_another_is_not(changing: tuple[Leg, list[Dataset]]) -> None:
     leg, runs = changing
     found = fitted(runs).agreement
-    assert found is not None and found.disagree and found.runs == ("run0.csv", "run1.csv", "run2.csv")
+    assert found.disagree and found.runs == ("run0.csv", "run1.csv", "run2.csv")
     assert found.seen[8] and found.by_run[:, 8] == pytest.approx([0.05, 0.05, 0.08], abs=0.004)
     assert not found.seen[:5].any()
     rng = np.random.default_rng(611)
     same = fitted([record(leg, rng, seconds=8.0, name=f"run{k}.csv") for k in range(3)])
-    assert same.agreement is not None and not same.agreement.disagree
+    assert not same.agreement.disagree
     assert same.agreement.p_value is not None and same.agreement.p_value > ALPHA
     assert same.ci95() == pytest.approx(same.beta[:, None] + 1.959964 * np.outer(same.std, [-1.0, 1.0]))
 
@@ -196,7 +194,7 @@ def test_a_skew_between_clocks_is_no_disagreement() -> None:
         runs.append(replace(run, columns={**run.columns, **late}, clock_bound_s=5e-3))
     found = fit_mle(runs, leg2(lever_arm=0.2), FitOptions(hold="smooth"))
     assert any("late against the controller" in text for text in found.assumptions)
-    assert found.agreement is not None and not found.agreement.disagree
+    assert not found.agreement.disagree
 
 
 def test_clusters_of_scores_give_the_variance_of_their_sum_and_none_to_what_they_do_not_show() -> None:

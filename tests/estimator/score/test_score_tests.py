@@ -1,14 +1,11 @@
 """Scores alone are those that come with their information, whatever reads the motion and whatever is fitted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from daq import Dataset
-from estimator import Effect, FitOptions
+from estimator import FitOptions
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.model import Model, nominal_model, refit, run_states
 from estimator.effects import battery, classes, library
@@ -17,13 +14,13 @@ from estimator.model import leg2
 from estimator.score import NO_TESTS, least_sigmas, score_alone, score_at
 from tests.support.mujoco_leg import Leg, record
 
-NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
+NAMED = {kind.name: kind for kind in classes()}
 
 
 def fitted(sensors: str) -> tuple[RunSplit, Model]:
     """Three runs of a leg, and what fits them."""
     leg = Leg()
-    runs: list[Dataset] = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
+    runs = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors))
     return split, nominal_model(split)
 
@@ -57,7 +54,7 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)
 
 
-@pytest.mark.parametrize(("tests", "sigmas"), [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
+@pytest.mark.parametrize("tests, sigmas", [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
 def test_more_tests_ask_for_more_standard_deviations(tests: int, sigmas: float) -> None:
     """Quantiles of the normal distribution at 1 % and at 0.1 % are 2.58 and 3.29."""
     assert least_sigmas(tests) == pytest.approx(sigmas, abs=0.01)

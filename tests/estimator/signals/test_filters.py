@@ -18,7 +18,7 @@ def test_it_is_scipys(order: int, cutoff_hz: float) -> None:
     np.testing.assert_allclose(lowpass(x, cutoff_hz, 100.0, order), known, rtol=0.0, atol=1e-9 * np.abs(x).max())
 
 
-@pytest.mark.parametrize(("numerator", "denominator"), [([1.0], [1.0, -0.9]), ([1.0, -0.5], [2.0, -1.9]),
+@pytest.mark.parametrize("numerator, denominator", [([1.0], [1.0, -0.9]), ([1.0, -0.5], [2.0, -1.9]),
                                                         ([3.0, -6.0, 3.0], [5.0, -9.0, 4.5])])
 def test_the_causal_filter_is_scipys(numerator: list[float], denominator: list[float]) -> None:
     x = np.random.default_rng(0).normal(size=700)

@@ -1,13 +1,12 @@
 """What IMUs on any link read, against MuJoCo's sensors; and the joints' motion found back from them."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator import FitError, FitOptions
-from estimator.model import ImuPlace, Mechanism, biped3, chain, leg2
+from estimator.model import ImuPlace, biped3, chain, leg2
 from estimator.signals import (
     accelerometer_at,
     accelerometer_slopes,
@@ -40,7 +39,7 @@ def test_readings_are_those_of_mujoco(name: str) -> None:
     read = predicted_columns(mechanism, motion.q, motion.qd, qdd)
     for k in range(len(sensors)):
         for column, known in zip(imu_names(k), motion.imu[:, k].T):
-            np.testing.assert_allclose(read[column], known, rtol=0.0, atol=1e-11 * np.abs(known).max())
+            assert_allclose(read[column], known, rtol=0.0, atol=1e-11 * np.abs(known).max())
     assert np.abs(motion.imu[:, :, 1:]).max() > 9.0 and mujoco.__version__
 
 
@@ -52,11 +51,11 @@ def test_slopes_are_the_readings_own(name: str) -> None:
     motion, h = rng.normal(size=(3, mechanism.n, 5)), 1e-6
     for place in mechanism.imus:
         felt, *slopes = accelerometer_slopes(mechanism, place, *motion)
-        np.testing.assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
+        assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
         angle = mechanism.transform[place.link] @ motion[0]
         for one, other in zip(accelerometer_slopes(mechanism, place, *motion, turned=(np.cos(angle), np.sin(angle))),
                               (felt, *slopes)):
-            np.testing.assert_allclose(one, other, atol=1e-13)
+            assert_allclose(one, other, atol=1e-13)
         for which, slope in enumerate(slopes):
             for j in range(mechanism.n):
                 up, down = motion.copy(), motion.copy()
@@ -64,10 +63,10 @@ def test_slopes_are_the_readings_own(name: str) -> None:
                 down[which, j] -= h
                 numeric = (np.stack(accelerometer_at(mechanism, place, *up))
                            - np.stack(accelerometer_at(mechanism, place, *down))) / (2.0 * h)
-                np.testing.assert_allclose(slope[:, j], numeric, atol=1e-7)
+                assert_allclose(slope[:, j], numeric, atol=1e-7)
 
 
-@pytest.mark.parametrize(("links", "sensors", "encoders"), [
+@pytest.mark.parametrize("links, sensors, encoders", [
     (2, [Sensor(1, 0.1)], (1,)), (2, [Sensor(0, 0.2), Sensor(1, 0.1)], ()), (3, [Sensor(2, 0.1)], (1, 2)),
     (7, [Sensor(0, 0.1), Sensor(3, 0.1), Sensor(6, 0.1)], (1, 2, 4, 5)), (7, [Sensor(k, 0.1) for k in range(7)], ())])
 def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoders: tuple[int, ...]) -> None:
@@ -87,7 +86,7 @@ def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoder
 
 
 def test_joints_that_nothing_shows_are_named() -> None:
-    three: Mechanism = chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.1)), (0.3, 0.3))
+    three = chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.1)), (0.3, 0.3))
     with pytest.raises(FitError, match="angles of joints 1 and 2 apart: with 1 encoder and 2 IMUs 1 of 3 angles"):
         sight(three, (2,), True)
     with pytest.raises(FitError, match="angle of joint 1: with 2 encoders and 0 IMUs"):

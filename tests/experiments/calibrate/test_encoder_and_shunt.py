@@ -68,8 +68,8 @@ def test_block_means_cover_a_coloured_mean_and_know_a_drift() -> None:
     assert sloped.drifts
 
 
-def stop(value: float, half: float = 1e-5) -> Stop:
-    return Stop("s", Mean(value, half, 0.0, half), Mean(0.0, 0.0, 0.0, 0.0))
+def stop(value: float) -> Stop:
+    return Stop("s", Mean(value, 1e-5, 0.0, 1e-5), Mean(0.0, 0.0, 0.0, 0.0))
 
 
 def test_stops_spread_evenly_are_covered_in_95_of_100_cases() -> None:

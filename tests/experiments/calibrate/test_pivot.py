@@ -8,9 +8,8 @@ import pytest
 
 from daq import load_rig
 from daq.runs import RunWriter
-from experiments import cli
 from tests.support.motor_off_runs import RIG
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 TABLE = "[devices.pivot]\nsign = {sign}\n"
 
@@ -36,12 +35,12 @@ def write_stop(path: Path, reading_rad: float, q1_rad: float | None = None, stat
 def calibrate(folder: Path, sign: int, *runs: str) -> float:
     rig = folder / "rig.toml"
     rig.write_text(RIG + TABLE.format(sign=sign))
-    assert cli.main(["calibrate", "pivot", *runs, "--rig", str(rig)]) == 0
+    typed("calibrate pivot", *runs, "--rig", rig)
     return load_rig(rig).calibration.pivot_zero_rad
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_imu_tells_where_link_1_hangs(tmp_path: Path, sign: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_imu_tells_where_link_1_hangs(tmp_path: Path, sign: int, shell: Shell) -> None:
     """The chip's wrap lies among the readings: their mean is that of angles, not of counts."""
     zero = sign * 0.002 if sign > 0 else 3.14
     runs = [write_stop(tmp_path / f"{k}.mcap", sign * (zero + q1), q1, seed=k)
@@ -49,18 +48,18 @@ def test_the_imu_tells_where_link_1_hangs(tmp_path: Path, sign: int, capsys: pyt
     found = calibrate(tmp_path, sign, *runs)
     assert math.remainder(found - zero, math.tau) == pytest.approx(0.0, abs=1e-3)
     assert load_rig(tmp_path / "rig.toml").tolerances["encoder_offset@1"][0] == pytest.approx(0.1 / 9.81, rel=0.1)
-    said = capsys.readouterr().out
+    said = shell.out
     assert "95 %, from 3 records" in said and "link 1 hangs at +0.05" in said
 
 
-def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, shell: Shell) -> None:
     assert calibrate(tmp_path, 1, write_stop(tmp_path / "a.mcap", 1.2)) == pytest.approx(1.2, abs=1e-3)
     assert not load_rig(tmp_path / "rig.toml").tolerances  # friction holds the pivot, one record does not say how far
-    said = capsys.readouterr()
+    said = shell.read()
     assert "without an IMU" in said.out and "each reached from the other side" in said.err
 
 
-@pytest.mark.parametrize(("more", "status", "line"), [
+@pytest.mark.parametrize("more, status, line", [
     ({"status": 0}, 2, "holds 0 valid readings of a pivot sensor"), ({"drift": 0.1}, 1, "the pivot moved by 0.")])
 def test_what_is_no_rest_is_refused(tmp_path: Path, shell: Shell, more: dict, status: int, line: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG)

@@ -12,6 +12,7 @@ from experiments.calibrate import calibrate_torque_constant
 from experiments.calibrate.torque_constant import find_holds
 from experiments.workflows.diagnose import with_known_gain
 from tests.support.hold_runs import Truth, hold_run
+from tests.support.imported_files import table_of
 from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[calibration]\ntorque_constant_nm_per_a = 0.85  # by the sheet\n'
@@ -57,7 +58,7 @@ def test_holds_that_move_or_come_back_are_left_out() -> None:
     assert left.left_out == 4 and left.current.size == 12
 
 
-@pytest.mark.parametrize(("column", "line"), [("tau2_cmd_nm", "has no column tau2_cmd_nm"),
+@pytest.mark.parametrize("column, line", [("tau2_cmd_nm", "has no column tau2_cmd_nm"),
                                               ("accel_y_mps2", "has no column accel_y")])
 def test_a_run_without_a_column_is_refused(column: str, line: str) -> None:
     run = hold_run(Truth(), np.random.default_rng(1))
@@ -66,17 +67,11 @@ def test_a_run_without_a_column_is_refused(column: str, line: str) -> None:
         find_holds(Dataset("r", run.rate_hz, run.time_s, columns), parse_rig(RIG))
 
 
-def write_csv(run: Dataset, path: Path) -> str:
-    table = np.column_stack([run.time_s, *run.columns.values()])
-    np.savetxt(path, table, delimiter=",", header=",".join(["time_s", *run.columns]), comments="", fmt="%.9g")
-    return str(path)
-
-
 def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: Path, shell: Shell) -> None:
     rng, rig = np.random.default_rng(2), tmp_path / "rig.toml"
     rig.write_text(RIG)
-    bare, weighted = (write_csv(hold_run(Truth(), rng, m), tmp_path / f"{m}.csv") for m in (0.0, 0.5))
-    order = ["calibrate", "shunt", bare, "--weighted", weighted, "--weight", "0.5", "--arm", "0.25", "--rig", str(rig)]
+    bare, weighted = (table_of(hold_run(Truth(), rng, m), tmp_path / f"{m}.csv") for m in (0.0, 0.5))
+    order = "calibrate shunt", bare, "--weighted", weighted, "--weight 0.5 --arm 0.25 --rig", rig
     shell(*order, "--dry-run")
     assert rig.read_text() == RIG
     shell(*order, "--weight-error 0.001 --arm-error 0.001")
@@ -90,14 +85,13 @@ def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: P
     assert with_known_gain({"torque_gain": "no motion"}, parse_rig(RIG)) == {"torque_gain": "no motion"}
 
 
-@pytest.mark.parametrize(("more", "line"), [
+@pytest.mark.parametrize("more, line", [
     (["--weight", "0.5"], "--arm: is None"), (["--weight", "-1", "--arm", "0.2"], "--weight: is -1"),
     (["--weight", "1", "--arm", "0.2"], "holds with the weight and without it are needed"),
     (["--weight", "1", "--arm", "0.2", "--arm-error", "-1"], "--arm-error: is -1")])
 def test_what_is_missing_is_asked_for(tmp_path: Path, shell: Shell, more: list[str], line: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG)
-    shell("calibrate shunt --rig", tmp_path / "rig.toml", *more, status=2)
-    assert line in shell.err
+    assert line in shell.fails("calibrate shunt --rig", tmp_path / "rig.toml", *more)
 
 
 def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:

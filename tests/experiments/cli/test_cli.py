@@ -4,14 +4,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 
-from daq import WorkError, load_rig
+from daq import WorkError
 from daq.recording import Plan, write_plan
 from daq.runs import read_csv, read_run
 from drivers import LinkLost
@@ -21,14 +20,12 @@ from experiments import cli
 from experiments.cli.main import GROUPS
 from experiments.emulation.plant import LegPlant
 from experiments.excite import random_multisine
-from experiments.judge import model_of
 from experiments.models import save_model
-from experiments.models.mechanism_settings import mechanism_settings
-from tests.support.fits import synthetic_fit
+from tests.support.extended_models import model_with
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 pytestmark = REAL_CLOCK
 
@@ -37,25 +34,11 @@ HEAVY = {"numpy", "scipy", "matplotlib", "jinja2", "mcap", "serial", "smbus2", "
 
 
 @pytest.fixture(scope="module")
-def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model_file(module_path: Path) -> Path:
     """A model with the plant's true parameters."""
-    path = tmp_path_factory.mktemp("model") / "model.json"
-    save_model(model_of(synthetic_fit(), mechanism_settings(load_rig(RIG)), "zero", ["a"],
-                        datetime(2026, 1, 1, tzinfo=UTC)), path)
+    path = module_path / "model.json"
+    save_model(model_with(), path)
     return path
-
-
-def legid(*args: object) -> int:
-    return cli.main([str(a) for a in args])
-
-
-def fails(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
-    """Runs a command that must fail so; returns its one line."""
-    capsys.readouterr()
-    assert legid(*args) == status
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and error.startswith("legid") and "Traceback" not in error
-    return error
 
 
 # -- help and arguments ------------------------------------------------------------------------------------
@@ -86,51 +69,41 @@ def test_version(shell: Shell) -> None:
 
 
 @pytest.mark.parametrize("args", [
-    [], ["nonsense"], ["fit"], ["fit", "a.csv", "--rig", "r", "--method", "guess"],
-    ["fit", "a.csv", "--rig", "r", "--fix", "beta1"], ["fit", "a.csv", "--rig", "r", "--sensors", "eyes"],
-    ["info"], ["export", "a.csv", "--to", "xls", "--out", "b"], ["info", "a.csv", "--quiet", "--verbose"],
-    ["demo", "--seconds", "0"], ["demo", "--seed", "-1"],
-    ["demo", "--effect", "magic"], ["demo", "--runs", "1"], ["diagnose"],
-    ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--start", "500,0"],
-    ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--rate", "0"],
-    ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--start", "up"], ["record", "--rig", "r"],
-])
-def test_bad_arguments(args: list[str], shell: Shell) -> None:
-    assert "--help" in shell.fails(*args)
+    "", "nonsense", "fit", "fit a.csv --rig r --method guess", "fit a.csv --rig r --fix beta1",
+    "fit a.csv --rig r --sensors eyes", "info", "export a.csv --to xls --out b", "info a.csv --quiet --verbose",
+    "demo --seconds 0", "demo --seed -1", "demo --effect magic", "demo --runs 1", "diagnose",
+    "simulate m.json --plan p.csv --out o.csv --start 500,0", "simulate m.json --plan p.csv --out o.csv --rate 0",
+    "simulate m.json --plan p.csv --out o.csv --start up", "record --rig r"])
+def test_bad_arguments(args: str, shell: Shell) -> None:
+    assert "--help" in shell.fails(args)
 
 
 @pytest.mark.parametrize("args", [
-    ["info", "none.mcap"], ["info", "none.csv"], ["recover", "none.mcap"],
-    ["export", "none.csv", "--to", "csv", "--out", "x"], ["validate", "none.json", "none.csv", "--rig", "none.toml"],
-    ["simulate", "none.json", "--plan", "none.csv", "--out", "x"], ["fit", "none.csv", "--rig", "none.toml"],
-    ["record", "--rig", "none.toml", "--plan", "none.csv", "--out", "x.mcap"],
-    ["diagnose", "none.csv", "--rig", "none.toml"],
-])
-def test_missing_files_are_named(args: list[str], shell: Shell, tmp_path: Path,
-                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    "info none.mcap", "info none.csv", "recover none.mcap", "export none.csv --to csv --out x",
+    "validate none.json none.csv --rig none.toml", "simulate none.json --plan none.csv --out x",
+    "fit none.csv --rig none.toml", "record --rig none.toml --plan none.csv --out x.mcap",
+    "diagnose none.csv --rig none.toml"])
+def test_missing_files_are_named(args: str, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "none." in shell.fails(*args)
+    assert "none." in shell.fails(args)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("error, status", [
-    (FitError("cannot\nbe fitted"), 1), (WorkError("tripped"), 1), (LinkLost("gone"), 1), (KeyboardInterrupt(), 1),
-    (ZeroDivisionError("oops"), 1),
-])
-def test_every_failure_is_one_line(error: BaseException, status: int, shell: Shell,
-                                   monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [FitError("cannot\nbe fitted"), WorkError("tripped"), LinkLost("gone"),
+                                   KeyboardInterrupt(), ZeroDivisionError("oops")])
+def test_every_failure_is_one_line(error: BaseException, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(args: object) -> int:
         raise error
 
     monkeypatch.setattr("experiments.cli.commands.info.run", fail)
-    shell.fails("info x", status=status)
+    shell.fails("info x", status=1)
 
 
 def test_an_unexpected_error_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.cli.commands.info.run", lambda args: 1 // 0)
     monkeypatch.setenv(cli.TRACEBACK, "1")
     with pytest.raises(ZeroDivisionError):
-        legid("info", "x")
+        typed("info x")
 
 
 def test_a_reader_that_leaves_is_no_fault(demo_run: Path) -> None:
@@ -189,7 +162,7 @@ def test_exports_agree(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
 
 
 def test_export_of_a_csv_at_another_rate(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
-    legid("export", demo_run, "--to", "csv", "--out", tmp_path / "a.csv")
+    shell("export", demo_run, "--to csv --out", tmp_path / "a.csv")
     shell("export", tmp_path / "a.csv", "--to csv --rate 50 --out", tmp_path / "b.csv")
     half, full = read_csv(tmp_path / "b.csv"), read_csv(tmp_path / "a.csv")
     assert half.time_s.size == pytest.approx(full.time_s.size / 5, abs=2)
@@ -229,7 +202,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
     t = np.arange(100) / 100.0
     write_plan(Plan(t, 0.2 * np.sin(2 * np.pi * t)), bench / "plan.csv")
-    args = ("record", "--rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap")
+    args = "record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap"
     shell(*args)
     assert "torque commands" in shell.out
     raw = read_run(bench / "run.mcap")
@@ -258,7 +231,7 @@ def test_record_without_devices_says_what_is_missing(tmp_path: Path, shell: Shel
 def test_record_from_an_emulated_leg_says_so(tmp_path: Path, shell: Shell) -> None:
     """Nothing of the rig's devices is opened; what is hidden is not in the file."""
     write_plan(random_multisine(1, 4.0, 0.3), tmp_path / "plan.csv")
-    start = ["record", "--rig", RIG, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.mcap"]
+    start = "record --rig", RIG, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.mcap"
     shell(*start, "--emulate quadratic_drag --seed", 3)
     shell("info", tmp_path / "run.mcap")
     said = shell.out

@@ -1,6 +1,5 @@
 """`legid effects`, and an effect of one's own: the how-to's worked example, installed and run."""
 
-import json
 import re
 import sys
 from importlib import invalidate_caches
@@ -14,7 +13,7 @@ from estimator.model import leg2
 from experiments.emulation import EFFECTS
 from experiments.models import effects_document, known_effects
 from tests.support.paths import ROOT
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 PAGE = ROOT / "docs" / "effect.md"
 CONTRACT = [
@@ -39,10 +38,9 @@ def install(folder: Path, module: str, code: str, value: str, monkeypatch: pytes
     invalidate_caches()
 
 
-def test_every_effect_of_the_contract_is_listed(tmp_path: Path, shell: Shell) -> None:
-    shell("effects --json", tmp_path / "e.json")
+def test_every_effect_of_the_contract_is_listed(shell: Shell) -> None:
+    found = document("effects")
     text = shell.out
-    found = json.loads((tmp_path / "e.json").read_text())
     assert found["schema"] == "legid.effects/1"
     assert sorted(row["effect"] for row in found["effects"]) == sorted(CONTRACT)
     for row in found["effects"]:
@@ -80,9 +78,8 @@ def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: p
 def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                               shell: Shell) -> None:
     install(tmp_path, "broken_effect", code, "broken_effect:Mine", monkeypatch)
-    shell("effects", status=2)
-    error = shell.err
-    assert says in error and "legid.effects" in error and error.count("\n") == 1
+    error = shell.fails("effects")
+    assert says in error and "legid.effects" in error
     monkeypatch.delitem(sys.modules, "broken_effect", raising=False)
 
 

@@ -44,7 +44,7 @@ CAN = shutil.which("unshare") is not None and subprocess.run(
 
 
 @pytest.mark.skipif(not CAN, reason="this machine lets nobody mount a disk of his own (unshare --mount)")
-@pytest.mark.parametrize(("command", "writes"), [
+@pytest.mark.parametrize("command, writes", [
     (["calibrate", "shunt", "still.mcap", "--rig", "DISK/rig.toml"], "shunt_offset_a"),
     (["tune", "RUNS", "--rig", "DISK/rig.toml", "--write"], "[terms]")])
 def test_the_rig_file_stays_as_it_was_and_is_written_when_there_is_room(command: list[str], writes: str,

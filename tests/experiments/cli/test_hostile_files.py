@@ -61,7 +61,7 @@ def test_an_attack_ends_in_one_line(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="the cases are not on this machine")
-@pytest.mark.parametrize(("name", "command"), [(name, how) for name, hows in GIVEN.items() for how in hows])
+@pytest.mark.parametrize("name, command", [(name, how) for name, hows in GIVEN.items() for how in hows])
 def test_a_file_that_did_harm_does_none(name: str, command: str, tmp_path: Path) -> None:
     read = command in ("info", "recover", "init", "runs")
     harmless(call(WORDS[command], str(FOLDER / name), tmp_path), read)

@@ -1,8 +1,5 @@
 """IMUs beyond link 1 as a person uses them: rig.toml, CSV files, fit, validate, simulate, and what is refused."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +10,7 @@ from daq.runs import read_csv, write_csv
 from estimator.model import leg2
 from experiments.cli.main import main
 from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, Tree, disturbed, move, random_tree, torques
+from tests.support.shell import Shell, document
 
 RIG = """[mechanism]
 model = "leg2"
@@ -33,69 +31,67 @@ Laid = tuple[Path, Tree]
 
 
 @pytest.fixture(scope="module")
-def laid(tmp_path_factory: pytest.TempPathFactory) -> Laid:
+def laid(module_path: Path) -> Laid:
     """Two runs of one leg with an IMU on the shank, then one on the thigh, and rig files of both uses."""
-    folder, rng = tmp_path_factory.mktemp("imu"), np.random.default_rng(7)
+    rng = np.random.default_rng(7)
     tree = random_tree(rng, (-1, 0), viscous=0.03, coulomb=0.04)
     for k in range(2):
         motion = move(tree, torques(tree, rng, 8.0, 100.0, 0.35, (1,)), 100.0, [Sensor(1, 0.1), Sensor(0, 0.2)])
         data = disturbed(motion, (1,), 100.0, rng)
         shank = {n: v for n, v in data.columns.items() if n[-4:] != "_rad" or n == "q2_rad"}
         write_csv(replace(data, columns={n: v for n, v in shank.items() if "2_x" not in n and "2_y" not in n
-                                         and n != "gyro2_radps"}), folder / f"shank{k}.csv")
-        write_csv(replace(data, columns={n: v for n, v in shank.items() if n != "q2_rad"}), folder / f"two{k}.csv")
+                                         and n != "gyro2_radps"}), module_path / f"shank{k}.csv")
+        write_csv(replace(data, columns={n: v for n, v in shank.items() if n != "q2_rad"}), module_path / f"two{k}.csv")
     length = float(tree.length[0])
     alone = ON_SHANK.replace("[[imu]]", "[imu]")
-    (folder / "shank.toml").write_text(RIG.format(length=length, encoders="", imus=alone))
-    (folder / "two.toml").write_text(RIG.format(length=length, encoders="encoders = []", imus=ON_SHANK + ON_THIGH))
-    return folder, tree
+    (module_path / "shank.toml").write_text(RIG.format(length=length, encoders="", imus=alone))
+    (module_path / "two.toml").write_text(RIG.format(length=length, encoders="encoders = []", imus=ON_SHANK + ON_THIGH))
+    return module_path, tree
 
 
 @pytest.mark.parametrize("use", ["shank", "two"])
-def test_fit_validate_and_simulate(laid: Laid, use: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_validate_and_simulate(laid: Laid, use: str, tmp_path: Path, shell: Shell) -> None:
     folder, tree = laid
-    rig, model, fitted = str(folder / f"{use}.toml"), str(tmp_path / "model.json"), tmp_path / "fit.json"
-    assert main(["fit", str(folder / f"{use}0.csv"), "--rig", rig, "--json", str(fitted), "--model-out", model]) == 0
-    assert "on link 2 rides on links of exactly the lengths declared" in capsys.readouterr().out
-    document = json.loads(fitted.read_text())
+    rig, model = folder / f"{use}.toml", tmp_path / "model.json"
+    fitted = document("fit", folder / f"{use}0.csv", "--rig", rig, "--model-out", model)
+    assert "on link 2 rides on links of exactly the lengths declared" in shell.out
     truth = tree.beta(leg2(velocity_scale=FRICTION_RADPS))
-    for parameter, true in zip(document["parameters"], truth):
+    for parameter, true in zip(fitted["parameters"], truth):
         assert abs(parameter["value"] - true) < 4.0 * parameter["std"], parameter["name"]
-    assert ("gyro2_radps" in document["noise"]) == (use == "two")
-    assert main(["validate", model, str(folder / f"{use}1.csv"), "--rig", rig]) == 0
-    assert "TRUST for simulation" in capsys.readouterr().out
+    assert ("gyro2_radps" in fitted["noise"]) == (use == "two")
+    shell("validate", model, folder / f"{use}1.csv", "--rig", rig)
+    assert "TRUST for simulation" in shell.out
     plan, out = tmp_path / "plan.csv", tmp_path / "simulated.csv"
     rows = [f"{0.01 * k:.2f},{0.3 * np.sin(0.1 * k):.4f}" for k in range(100)]
     plan.write_text("\n".join(["time_s,tau2_cmd_nm", *rows, ""]))
-    assert main(["simulate", model, "--plan", str(plan), "--out", str(out), "--noise-seed", "1"]) == 0
+    shell("simulate", model, "--plan", plan, "--out", out, "--noise-seed 1")
     columns = read_csv(out).columns
     assert ("accel2_y_mps2" in columns) == (use == "two")
     # at rest both hang still: y feels gravity, the gyro nothing
     assert columns["accel_y_mps2"][0] == pytest.approx(-9.81, abs=0.4) and abs(columns["gyro_radps"][0]) < 0.05
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize("change, said", [
     (("encoders = []", "encoders = [3]"), "mechanism.encoders names joint 3, leg2 has 2"),
     ((ON_THIGH, ""), "no sensor tells the angles of joints 1 and 2 apart: with 0 encoders and 1 IMU"),
     (("link = 2", "link = 3"), "IMU 1 is on link 3, leg2 has 2"),
     (("link_lengths_m", "# link_lengths_m"), "rides on link 1, whose length is not given"),
     ((ON_THIGH, ON_THIGH + ON_THIGH), "column gyro3_radps is missing")])
 def test_what_cannot_be_used_is_said_in_one_line(laid: Laid, change: tuple[str, str], said: str, tmp_path: Path,
-                                                 capsys: pytest.CaptureFixture[str]) -> None:
+                                                 shell: Shell) -> None:
     folder, _ = laid
     text = (folder / "two.toml").read_text()
     assert change[0] in text
     rig = tmp_path / "rig.toml"
     rig.write_text(text.replace(*change))
     assert main(["fit", str(folder / "two0.csv"), "--rig", str(rig)]) in (1, 2)
-    error = capsys.readouterr().err
+    error = shell.err
     assert said in error and "Traceback" not in error
 
 
-def test_methods_and_diagnoses_that_know_one_imu_refuse_more(laid: Laid, capsys: pytest.CaptureFixture[str]) -> None:
+def test_methods_and_diagnoses_that_know_one_imu_refuse_more(laid: Laid, shell: Shell) -> None:
     folder, _ = laid
-    rig, runs = str(folder / "two.toml"), [str(folder / f"two{k}.csv") for k in range(2)]
-    assert main(["fit", *runs, "--rig", rig, "--method", "wls"]) == 1
-    assert "--method wls knows one IMU on link 1 and encoders of all other joints" in capsys.readouterr().err
-    assert main(["diagnose", *runs, "--rig", rig]) == 2
-    assert "has 2 IMUs; a diagnosis knows the faults of one" in capsys.readouterr().err
+    rig, runs = folder / "two.toml", [folder / f"two{k}.csv" for k in range(2)]
+    said = shell.fails("fit", *runs, "--rig", rig, "--method wls", status=1)
+    assert "--method wls knows one IMU on link 1 and encoders of all other joints" in said
+    assert "has 2 IMUs; a diagnosis knows the faults of one" in shell.fails("diagnose", *runs, "--rig", rig)

@@ -16,21 +16,22 @@ from tests.support.imported_files import ros2_bag
 from tests.support.mujoco_leg import Leg, record
 from tests.support.processes import REAL_CLOCK
 
-Type = Callable[[str], tuple[int, str]]
+Type = Callable[..., str]
 PER_AMPERE = 0.9
 
 
 @pytest.fixture
 def typed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Type:
-    """Types a command in the empty folder; (exit status, everything that it printed)."""
+    """Types a command in the empty folder, which ends with this status; everything that it printed."""
     monkeypatch.chdir(tmp_path)
 
-    def run(line: str) -> tuple[int, str]:
+    def run(line: str, *statuses: int) -> str:
         program, *words = shlex.split(line)
         assert program == "legid"
         status = main(words)
-        said = capfd.readouterr()
-        return status, said.out + said.err
+        said = "".join(capfd.readouterr())
+        assert status in (statuses or (0,)), said
+        return said
 
     return run
 
@@ -63,49 +64,43 @@ def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatc
         table = [run.time_s * 1000.0, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"] / PER_AMPERE]
         np.savetxt(tmp_path / f"log{k}.csv", np.column_stack(table), delimiter=";", comments="", fmt="%.5f",
                    header="time [ms];hip [deg];knee [deg];current [A]")
-    status, said = typed("legid fit log1.csv")
-    assert status == 2 and "or write it: legid init rig.toml" in said
+    assert "or write it: legid init rig.toml" in typed("legid fit log1.csv", 2)
     answers(monkeypatch, "leg2", "2", "9.81", "", "none", "1", "none")
-    status, said = typed("legid init rig.toml")
-    assert status == 0 and "Next: legid import FILE..., then legid fit" in said
-    status, said = typed("legid fit log1.csv")
-    assert status == 2 and "it is another program's file; run: legid import log1.csv --map columns.toml --guess" in said
-    status, said = typed("legid import log1.csv log2.csv log3.csv --map columns.toml --guess")
-    assert status == 0
+    assert "Next: legid import FILE..., then legid fit" in typed("legid init rig.toml")
+    guess = "legid import log1.csv --map columns.toml --guess"
+    assert f"it is another program's file; run: {guess}" in typed("legid fit log1.csv", 2)
+    said = typed(guess.replace("log1.csv", "log1.csv log2.csv log3.csv"))
     assert "first write scale = N m per A, gear included, under [columns.tau2_nm] in columns.toml" in said
     after = told(said, "then: ")
-    status, said = typed(after)
-    assert status == 2 and "is in A and has no scale" in said
+    assert "is in A and has no scale" in typed(after, 2)
     text = (tmp_path / "columns.toml").read_text()
     (tmp_path / "columns.toml").write_text(text.replace('unit = "A"', f'unit = "A"\nscale = {PER_AMPERE}'))
-    status, said = typed(after)
-    assert status == 0 and "runs/log3.csv: 1200 samples at 100 Hz" in said
-    status, said = typed("legid runs .")
-    assert status == 0 and "3 runs" in said and "3 CSV files of other programs" in said
-    status, said = typed("legid fit runs/log1.csv runs/log2.csv --model-out model.json")
-    assert status == 0 and said.startswith("TRUST the parameters")
+    assert "runs/log3.csv: 1200 samples at 100 Hz" in typed(after)
+    said = typed("legid runs .")
+    assert "3 runs" in said and "3 CSV files of other programs" in said
+    said = typed("legid fit runs/log1.csv runs/log2.csv --model-out model.json")
+    assert said.startswith("TRUST the parameters")
     assert values(said) == pytest.approx(Leg().beta()[:5], rel=0.05)
-    status, said = typed("legid validate model.json runs/log3.csv")
-    assert status == 0 and "TRUST for simulation over 12 s" in said and "Initial states" in said
-    assert typed("legid simulate model.json --plan runs/log3.csv --out simulated.csv")[0] == 0
-    status, said = typed("legid export model.json --out leg.urdf")
-    assert status == 0 and (tmp_path / "leg.urdf").read_text().startswith("<?xml")
+    said = typed("legid validate model.json runs/log3.csv")
+    assert "TRUST for simulation over 12 s" in said and "Initial states" in said
+    typed("legid simulate model.json --plan runs/log3.csv --out simulated.csv")
+    typed("legid export model.json --out leg.urdf")
+    assert (tmp_path / "leg.urdf").read_text().startswith("<?xml")
 
 
 def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = record(Leg(), np.random.default_rng(9), seconds=12.0)
     ros2_bag(run, tmp_path / "bag", StoragePlugin.MCAP)
     answers(monkeypatch, "leg2", "2", "9.81", "0.2", "none", "1", "none")
-    assert typed("legid init rig.toml")[0] == 0
-    status, said = typed("legid import bag --map columns.toml --guess")
-    assert status == 0 and "/joint_states/knee/effort" in said
-    status, said = typed(told(said, "then: "))
-    assert status == 0 and "gyro_radps" in said
-    status, said = typed("legid fit bag.csv --model-out model.json")
-    assert status == 0 and "TRUST the parameters" in said
+    typed("legid init rig.toml")
+    said = typed("legid import bag --map columns.toml --guess")
+    assert "/joint_states/knee/effort" in said
+    said = typed(told(said, "then: "))
+    assert "gyro_radps" in said
+    said = typed("legid fit bag.csv --model-out model.json")
+    assert "TRUST the parameters" in said
     assert values(said) == pytest.approx(Leg().beta()[:5], rel=0.05)
-    status, said = typed("legid diagnose bag.csv --json diagnosis.json --workers 1")
-    assert status == 0 and "Next step: " in said
+    said = typed("legid diagnose bag.csv --json diagnosis.json --workers 1")
     assert not re.search(r"(?<!NEW_)RUN|RIG", said.split("Next step: ")[1].splitlines()[0])
 
 
@@ -113,13 +108,12 @@ def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with ServedRig(tmp_path / "served", drive="moteus") as served:
         devices = load_rig(served.rig_path).devices
-        assert devices.controller is not None and devices.imu is not None and devices.controller.port is not None
+        assert devices.imu is not None and devices.controller.port is not None
         answers(monkeypatch, "leg2", "2", "9.81", "0.2", devices.imu.bus, "50", "moteus", devices.controller.port, "1",
                 "0.85", "200", "1.0", "20", "1.5", "3")
-        status, said = typed("legid init rig.toml")
-        assert status == 0 and "values are assumed and marked so. Next: legid doctor --rig rig.toml" in said
-        status, said = typed(told(said, "Next: "))
-        assert status == 1  # what nobody has measured yet
+        said = typed("legid init rig.toml")
+        assert "values are assumed and marked so. Next: legid doctor --rig rig.toml" in said
+        said = typed(told(said, "Next: "), 1)  # what nobody has measured yet
         assert "correct [calibration] imu_mount" in said
         offset = re.search(r"set \[calibration\] shunt_offset_a = (\S+)", said)
         assert offset is not None and float(offset[1]) == pytest.approx(0.031, abs=0.005)
@@ -129,14 +123,10 @@ def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, monkeypatch: pytest.Mo
                            ("imu_mount", "[[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]")):
             rig = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", rig)
         (tmp_path / "rig.toml").write_text(rig)
-        status, said = typed("legid excite --rig rig.toml --out plan.csv --seconds 6 --peak 0.7")
-        assert status == 0
+        said = typed("legid excite --rig rig.toml --out plan.csv --seconds 6 --peak 0.7")
         after = told(said, "Next: ").replace("RUN.mcap", "run.mcap")
-        status, said = typed(after)
-        assert status == 2 and "give --estop-at-hand" in said
-        status, said = typed(f"{after} --estop-at-hand")
-        assert status == 0, said
-    status, said = typed("legid info run.mcap")
-    assert status == 0
-    status, said = typed("legid fit run.mcap")
-    assert "rig: the one that run.mcap holds" in said and status in (0, 1)
+        said = typed(after, 2)
+        assert "give --estop-at-hand" in said
+        typed(f"{after} --estop-at-hand")
+    typed("legid info run.mcap")
+    assert "rig: the one that run.mcap holds" in typed("legid fit run.mcap", 0, 1)

@@ -6,24 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from experiments import cli
 from experiments.provenance import commit, read_origin, source_of
 from tests.support.paths import DEMO_RIG as RIG
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document, typed
 
 
 @pytest.fixture(scope="module")
-def folder(demo_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(demo_run: Path, module_path: Path) -> Path:
     """A run of five seconds with everything that a fit writes of it, its rig taken from the run."""
-    folder = tmp_path_factory.mktemp("fit")
-    shutil.copy(demo_run, folder)
-    cli.main(["fit", str(folder / "run.mcap"), "--method", "wls", "--json", str(folder / "fit.json"),
-              "--html", str(folder / "fit.html"), "--model-out", str(folder / "model.json")])
-    return folder
-
-
-def legid(*args: object) -> int:
-    return cli.main([str(a) for a in args])
+    shutil.copy(demo_run, module_path)
+    typed("fit", module_path / "run.mcap", "--method wls --json", module_path / "fit.json", "--html",
+          module_path / "fit.html", "--model-out", module_path / "model.json")
+    return module_path
 
 
 @pytest.mark.parametrize("name", ["fit.json", "fit.html", "model.json"])
@@ -32,58 +26,53 @@ def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, f
     origin = read_origin(folder / name)
     assert origin.commit == commit() and origin.version
     assert origin.runs == (source_of(folder / "run.mcap"),)
-    assert origin.rig is not None and (origin.rig.file, origin.rig.inside) == ("rig.toml", "run.mcap")
+    assert (origin.rig.file, origin.rig.inside) == ("rig.toml", "run.mcap")
     shell("verify", folder / name)
     said = shell.out
     assert said.count("same") == 2 and "CHANGED" not in said
     data = (folder / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[:-9] + bytes(9))
-    shell("verify", folder / name, tmp_path, status=1)
-    assert "run.mcap (CHANGED)" in shell.err
+    assert "run.mcap (CHANGED)" in shell.fails("verify", folder / name, tmp_path, status=1)
     (tmp_path / "run.mcap").unlink()
-    shell("verify", folder / name, tmp_path, status=1)
-    assert "run.mcap (missing)" in shell.err
+    assert "run.mcap (missing)" in shell.fails("verify", folder / name, tmp_path, status=1)
 
 
-@pytest.mark.parametrize(("command", "read"), [
-    (["runs", ".", "--json"], {"run.mcap"}), (["runs", "run.mcap", "--json"], {"run.mcap"}),
-    (["effects", "--json"], set()),
-    (["monte-carlo", "biped3", "--runs", "2", "--cases", "1", "--methods", "wls", "--workers", "1", "--json"], set())])
-def test_every_other_document_says_what_it_was_made_from(command: list[str], read: set[str], folder: Path,
+@pytest.mark.parametrize("command, read", [
+    ("runs . --json", {"run.mcap"}), ("runs run.mcap --json", {"run.mcap"}), ("effects --json", set()),
+    ("monte-carlo biped3 --runs 2 --cases 1 --methods wls --workers 1 --json", set())])
+def test_every_other_document_says_what_it_was_made_from(command: str, read: set[str], folder: Path,
                                                          tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                                          shell: Shell) -> None:
     shutil.copy(folder / "run.mcap", tmp_path)
     monkeypatch.chdir(tmp_path)
-    shell(*command, "out.json")
+    shell(command, "out.json")
     origin = read_origin("out.json")
     assert {source.file for source in origin.sources} == read and origin.commit == commit()
-    assert origin.command.startswith(f"legid {command[0]}") and (origin.seed is not None) == ("biped3" in command)
+    assert origin.command.startswith(f"legid {command.split()[0]}")
+    assert (origin.seed is not None) == ("biped3" in command)
     shell("verify out.json")
 
 
 @pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
 def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "x.json").write_text(text)
-    shell("verify", tmp_path / "x.json", status=2)
-    assert "says nothing of the files" in shell.err
+    assert "says nothing of the files" in shell.fails("verify", tmp_path / "x.json")
 
 
 def test_a_damaged_run_is_used_only_when_asked_for_and_the_documents_say_so(
         folder: Path, tmp_path: Path, shell: Shell) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((folder / "run.mcap").read_bytes()[:-3000])
-    commands = [["fit", cut, "--method", "wls"], ["diagnose", cut], ["validate", folder / "model.json", cut],
-                ["export", cut, "--out", tmp_path / "cut.csv"]]
-    for command in commands:
+    for command in (["fit", cut, "--method wls"], ["diagnose", cut], ["validate", folder / "model.json", cut],
+                    ["export", cut, "--out", tmp_path / "cut.csv"]):
         shell(*command, status=2)
         error = shell.err.splitlines()[-1]
         assert "its end is missing" in error and "--damaged" in error
     assert not (tmp_path / "cut.csv").exists()
     shell("info", cut)
     assert "DAMAGED: its end is missing" in shell.out
-    out = tmp_path / "fit.json", tmp_path / "model.json"
-    legid("fit", cut, "--method", "wls", "--damaged", "--json", out[0], "--model-out", out[1], "--fix", "beta8=0")
-    assert [d["run"] for d in json.loads(out[0].read_text())["damaged"]] == ["cut.mcap"]
+    found = document("fit", cut, "--method wls --damaged --fix beta8=0 --model-out", tmp_path / "model.json")
+    assert [d["run"] for d in found["damaged"]] == ["cut.mcap"]
     assert json.loads((folder / "fit.json").read_text())["damaged"] == []
     shell("recover", cut)
     shell("export", tmp_path / "cut.recovered.mcap", "--out", tmp_path / "saved.csv")
@@ -103,5 +92,4 @@ def test_the_rig_of_the_run_is_compared_with_the_one_given(
     shell("validate", folder / "model.json", "none.csv --quiet", status=2)
     assert "none.csv" in shell.err  # ./rig.toml was taken, the run is what is missing
     other.unlink()
-    shell("fit none.csv", status=2)
-    assert "--rig: is not given" in shell.err
+    assert "--rig: is not given" in shell.fails("fit none.csv")

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import legid
-from experiments import cli
 from experiments.cli.command import Command, OneOf
 from tests.support.paths import FIXTURES, ROOT
+from tests.support.shell import document, typed
 
 FOLDER = ROOT / "experiments/cli/commands"
 HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
@@ -77,23 +77,22 @@ def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made
     model, shell, python = tmp_path / "model.json", tmp_path / "shell.json", tmp_path / "python.json"
 
     def same(found: Any, *words: object) -> Any:
-        assert cli.main([*map(str, words), "--json", str(shell), "--force"]) == 0
+        typed(*words, "--json", shell, "--force")
         python.unlink(missing_ok=True)
         found.to_json(python)
         assert answer(shell) == answer(python)
         return json.loads(shell.read_text())["provenance"]
 
     run = legid.load(HEALTHY, RIG)
-    origin = same(legid.fit(run, method="wls"), "fit", HEALTHY, "--rig", RIG, "--method", "wls", "--model-out", model)
+    origin = same(legid.fit(run, method="wls"), "fit", HEALTHY, "--rig", RIG, "--method wls --model-out", model)
     assert origin["rig"]["file"] == "rig.toml" and origin["command"].startswith("legid fit healthy.mcap")
     assert same(legid.validate(model, run), "validate", model, HEALTHY, "--rig", RIG)["model"]["file"] == "model.json"
     both = same(legid.compare(model, model, run, names=(str(model), str(model))), "compare", model, model, HEALTHY,
                 "--rig", RIG)
     assert [one["file"] for one in both["models"]] == ["model.json", "model.json"]
     each = legid.fit_each([HEALTHY], RIG, method="wls")
-    assert cli.main(["fit", "--each", str(HEALTHY), "--rig", str(RIG), "--method", "wls", "--workers", "1", "--json",
-                     str(shell), "--force"]) == each.status == 0
-    (one,) = json.loads(shell.read_text())["fits"]
+    assert each.status == 0
+    (one,) = document("fit --each", HEALTHY, "--rig", RIG, "--method wls --workers 1")["fits"]
     assert each.fits[0]["parameters"] == one["parameters"] and one["provenance"]["rig"]["file"] == "rig.toml"
     assert list(each.to_frame().index) == [str(HEALTHY.resolve())]
     same(legid.effects(), "effects")

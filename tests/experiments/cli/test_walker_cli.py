@@ -9,8 +9,7 @@ import pytest
 
 from daq import Dataset
 from daq.runs import write_csv
-from experiments import cli
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document, typed
 from tests.support.walker_plant import RIG, Gait, Law, Plant, Walker, no_loss, record, walk
 
 GEARED = RIG + "[motor]\ngear_ratio = 20.0\n"
@@ -24,36 +23,32 @@ def put(folder: Path, seed: int, steps: int, stance: bool, loss: Law = no_loss) 
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("walks")
-    (made / "rig.toml").write_text(GEARED)
-    put(made, 2, 12, False)
-    put(made, 3, 12, True)
-    return made
+def folder(module_path: Path) -> Path:
+    (module_path / "rig.toml").write_text(GEARED)
+    put(module_path, 2, 12, False)
+    put(module_path, 3, 12, True)
+    return module_path
 
 
 @pytest.fixture(scope="module")
 def model(folder: Path) -> Path:
     out = folder / "model.json"
-    assert cli.main(["fit", str(folder / "walk2.csv"), "--rig", str(folder / "rig.toml"), "--json",
-                     str(folder / "fit.json"), "--model-out", str(out)]) == 0
+    typed("fit", folder / "walk2.csv", "--rig", folder / "rig.toml", "--json", folder / "fit.json", "--model-out", out)
     return out
 
 
 def test_a_record_without_contacts_is_fitted_over_its_steps(folder: Path, model: Path) -> None:
-    document = json.loads((folder / "fit.json").read_text())
-    assert document["converged"] and not document["undetermined"]
-    assert any(text.startswith("walk2.csv: 11 touchdowns, as its angles show, to ") for text in document["assumptions"])
-    for p, true in zip(document["parameters"], Walker().beta):
+    found = json.loads((folder / "fit.json").read_text())
+    assert found["converged"] and not found["undetermined"]
+    assert any(text.startswith("walk2.csv: 11 touchdowns, as its angles show, to ") for text in found["assumptions"])
+    for p, true in zip(found["parameters"], Walker().beta):
         assert abs(p["value"] - true) < 4.0 * p["std"] < 0.3 * true
     assert json.loads(model.read_text())["mechanism"]["hips"] is True
 
 
 def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, shell: Shell) -> None:
-    out = folder / "v.json"
-    shell("validate", model, folder / "walk3.csv", "--rig", folder / "rig.toml", "--json", out, "--html",
-          folder / "v.html")
-    text, walked = shell.out, json.loads(out.read_text())["walk"]
+    found = document("validate", model, folder / "walk3.csv", "--rig", folder / "rig.toml", "--html", folder / "v.html")
+    text, walked = shell.out, found["walk"]
     assert "all fell" in text and "falls after" in text and "later steps are not compared" in text
     assert "across touchdowns" in (folder / "v.html").read_text()
     first, last = walked["ahead"][0], walked["ahead"][-1]
@@ -65,11 +60,11 @@ def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, shell: Shell
 def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, shell: Shell) -> None:
     plan = folder / "plan.csv"
     plan.write_text("time_s,tau2_cmd_nm\n0,1\n0.1,1\n")
-    shell("simulate", model, "--plan", plan, "--out", folder / "x.csv", status=2)
-    assert "is a walker, which falls under a plan" in shell.err
+    said = shell.fails("simulate", model, "--plan", plan, "--out", folder / "x.csv")
+    assert "is a walker, which falls under a plan" in said
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize("change, said", [
     ("stance", "column stance never changes from one leg to the other"),
     ("still", "no touchdown stands out of the angles' noise; give a column stance"),
 ])
@@ -81,32 +76,26 @@ def test_a_record_that_cannot_be_cut_is_refused(folder: Path, shell: Shell, chan
         data = replace(data, columns=columns | {"stance": np.ones(count)})
     path = folder / data.name
     write_csv(data, path)
-    shell("fit", path, "--rig", folder / "rig.toml", status=1)
-    error = shell.err
-    assert said in error and error.count("\n") == 1
+    assert said in shell.fails("fit", path, "--rig", folder / "rig.toml", status=1)
 
 
 def test_only_a_biped_walks(tmp_path: Path, shell: Shell) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
-    shell("fit", rig, "--rig", rig, status=2)
-    assert "[walker]: that is for a biped3" in shell.err
+    assert "[walker]: that is for a biped3" in shell.fails("fit", rig, "--rig", rig)
     rig.write_text('[mechanism]\nmodel = "biped3"\nactuated = [2, 3]\n[walker]\n[[imu]]\nlink = 3\n')
-    shell("fit", rig, "--rig", rig, status=2)
-    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.err
+    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.fails("fit", rig, "--rig", rig)
 
 
 @pytest.mark.slow
-def test_a_spring_at_one_leg_is_named_there(folder: Path, shell: Shell) -> None:
+def test_a_spring_at_one_leg_is_named_there(folder: Path) -> None:
     """Half a minute."""
     def spring(leg: int, angle: float, rate: float, torque: float) -> float:
         return 8.0 * angle if leg == 1 else 0.0
 
-    runs = [str(put(folder, seed, 6, True, spring)) for seed in range(20, 28)]
-    out = folder / "d.json"
-    shell("diagnose", *runs, "--rig", folder / "rig.toml", "--json", out, "--workers 1")
-    document = json.loads(out.read_text())
-    cause, = document["causes"]
-    assert (document["verdict"], cause["effect"], cause["joint"]) == ("named", "joint_stiffness", 3)
+    runs = [put(folder, seed, 6, True, spring) for seed in range(20, 28)]
+    found = document("diagnose", *runs, "--rig", folder / "rig.toml", "--workers 1")
+    cause, = found["causes"]
+    assert (found["verdict"], cause["effect"], cause["joint"]) == ("named", "joint_stiffness", 3)
     low, high = cause["size"][0]["ci95"]
     assert low < 8.0 < high

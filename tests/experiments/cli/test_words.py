@@ -4,31 +4,23 @@ from pathlib import Path
 
 import pytest
 
-from experiments import cli, console
+from experiments import console
 from experiments.cli.main import build_parser
 from tests.support.paths import DEMO_RIG
 from tests.support.shell import Shell
 
 
-def said(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
-    capsys.readouterr()
-    assert cli.main([str(a) for a in args]) == status
-    return capsys.readouterr().err
-
-
 @pytest.mark.parametrize("args, meant", [
-    (["diagnos", "a.csv"], "diagnose"), (["fit", "a.csv", "--jsn", "x"], "--json"),
-    (["demo", "--effect", "stribek_friction"], "stribeck_friction"), (["fit", "a.csv", "--method", "mlle"], "mle"),
-])
-def test_a_misspelt_word_gets_a_suggestion(args: list[str], meant: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert f"did you mean {meant}?" in said(capsys, 2, *args)
+    ("diagnos a.csv", "diagnose"), ("fit a.csv --jsn x", "--json"), ("demo --effect stribek_friction",
+    "stribeck_friction"), ("fit a.csv --method mlle", "mle")])
+def test_a_misspelt_word_gets_a_suggestion(args: str, meant: str, shell: Shell) -> None:
+    assert f"did you mean {meant}?" in shell.fails(args)
 
 
-def test_a_misspelt_key_gets_a_suggestion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace("lever_arm_m", "lever_arm"))
-    assert "did you mean lever_arm_m?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
-    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace("[limits]", "[limit]"))
-    assert "did you mean limits?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
+@pytest.mark.parametrize("right, wrong", [("lever_arm_m", "lever_arm"), ("[limits]", "[limit]")])
+def test_a_misspelt_key_gets_a_suggestion(right: str, wrong: str, tmp_path: Path, shell: Shell) -> None:
+    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace(right, wrong))
+    assert f"did you mean {right.strip('[]')}?" in shell.fails("fit a.csv --rig", tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize("columns", [50, 80, 100])
@@ -43,34 +35,33 @@ def test_no_option_is_parted_at_a_hyphen(columns: int, monkeypatch: pytest.Monke
             assert option in text
 
 
-def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str],
-                                                    shell: Shell) -> None:
+def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, shell: Shell) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,\x1b]0;owned\x07q\x9b2J\n" + "".join(f"{k},{k}\n" for k in range(60)))
     shell("info", path)
-    out = capsys.readouterr().out
+    out = shell.out
     assert "owned" in out and not any(c in out for c in "\x1b\x07\x9b") and "\n" in out
     path.write_text("time_s,a\x1b[2J,a\x1b[2J\n1,2,3\n")
-    assert "\x1b" not in said(capsys, 2, "info", path)
+    assert "\x1b" not in shell.fails("info", path)
 
 
-def test_progress_is_told_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str],
-                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_told_where_there_is_no_terminal(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(console, "FIRST_LINE_S", 0.0)
     for level, lines in ((console.USUAL, 1), (console.QUIET, 0)):
-        capsys.readouterr()
         with console.verbosity(level), console.stages("diagnosing") as show:
             show("fitting", 0.25)
             show("scoring", 0.5)
-        assert capsys.readouterr().err == "diagnosing: fitting, 25 %\n" * lines
+        assert shell.err == "diagnosing: fitting, 25 %\n" * lines
         with console.verbosity(level):
             assert list(console.progress([1, 2, 3], "reading", unit="run")) == [1, 2, 3]
-        assert capsys.readouterr().err == "reading: 0 of 3 runs\n" * lines
+        assert shell.err == "reading: 0 of 3 runs\n" * lines
 
 
-def test_quiet_and_verbose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "legid effects:" in said(capsys, 0, "effects", "--verbose")
-    assert said(capsys, 0, "effects", "--quiet") == ""
+def test_quiet_and_verbose(shell: Shell) -> None:
+    shell("effects --verbose")
+    assert "legid effects:" in shell.err
+    shell("effects --quiet")
+    assert shell.err == ""
 
 
 def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, shell: Shell) -> None:
@@ -82,9 +73,8 @@ def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, shell: Shell) 
     assert "a.csv: 60 samples" in out and "b.csv: 60 samples" in out and "none.csv" in err
 
 
-def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str],
-                                                  shell: Shell) -> None:
+def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "a.csv").write_text("time_s,q\n" + "".join(f"{k / 100},{k}\n" for k in range(60)))
     shell("export", tmp_path / "a.csv", "--out", tmp_path / "b.mat")
     assert (tmp_path / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
-    assert "give --to" in said(capsys, 2, "export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")
+    assert "give --to" in shell.fails("export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")

@@ -22,7 +22,7 @@ from experiments.doctor import bus, link, preflight
 from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 pytestmark = REAL_CLOCK
 
@@ -47,17 +47,11 @@ shunt_offset_a = 0.031
 """
 
 
-class SwungPlant:
+def by_hand(t: float) -> StillState:
     """Both joints swung by hand: the motion is written down, not simulated."""
-
-    def __init__(self) -> None:
-        self.t = 0.0
-
-    def step(self, dt_s: float, torque_nm: float) -> StillState:
-        self.t += dt_s
-        a, w = 0.5, 2 * math.pi * 0.7
-        c, s = math.cos(w * self.t), math.sin(w * self.t)
-        return StillState(a * s, 0.8 * a * (1 - c), a * w * c, 0.8 * a * w * s, -a * w * w * s)
+    a, w = 0.5, 2 * math.pi * 0.7
+    c, s = math.cos(w * t), math.sin(w * t)
+    return StillState(a * s, 0.8 * a * (1 - c), a * w * c, 0.8 * a * w * s, -a * w * w * s)
 
 
 @dataclass
@@ -115,7 +109,7 @@ def bench(serve: Callable[..., Bench]) -> Bench:
 
 @pytest.fixture
 def swung(serve: Callable[..., Bench]) -> Bench:
-    return serve(SwungPlant())
+    return serve(MovingPlant(by_hand))
 
 
 def lines(out: str) -> dict[str, str]:
@@ -169,7 +163,7 @@ def test_another_chip_and_no_bus(bench: Bench, monkeypatch: pytest.MonkeyPatch) 
     assert "enable I2C" in bench.fails("I2C bus")
 
 
-@pytest.mark.parametrize(("khz", "status"), [(30.0, "FAIL"), (100.0, "warn")])
+@pytest.mark.parametrize("khz, status", [(30.0, "FAIL"), (100.0, "warn")])
 def test_a_slow_bus_is_measured(khz: float, status: str, serve: Callable[..., Bench]) -> None:
     bench = serve(bus_khz=khz)
     bench.rig.write_text(bench.rig.read_text().replace("59.5", "238.0" if khz < 100 else "59.5"))
@@ -200,7 +194,7 @@ def test_latency_timer(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "16 ms; echo 1 | sudo tee" in bench.fails("latency timer")
 
 
-@pytest.mark.parametrize(("firmware", "check", "words"), [
+@pytest.mark.parametrize("firmware, check, words", [
     ({"shunt_offset_a": 0.08}, "shunt zero", "shunt_offset_a = 0.0"),
     ({"gear_ratio": 30.0}, "firmware settings", "gear_ratio is 50, the firmware's 30"),
     ({"torque_limit_nm": 1.0}, "firmware settings", "torque_nm is 2, the firmware's 1"),
@@ -233,7 +227,7 @@ def test_a_bad_cable_is_seen(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> N
     assert "check cable" in found["telemetry"]
 
 
-@pytest.mark.parametrize(("room", "delay", "words"), [
+@pytest.mark.parametrize("room, delay, words", [
     (1 << 20, 0.0, "No space left"), (float("inf"), 0.17, "record to a faster disk")])
 def test_disk(room: float, delay: float, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(preflight, "DISK_BYTES", 2 << 20 if delay == 0 else 2 << 16)
@@ -262,7 +256,7 @@ def test_a_leg_swung_by_hand_agrees(swung: Bench) -> None:
         assert scale == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.parametrize(("mount", "check"), [
+@pytest.mark.parametrize("mount, check", [
     ("[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "gyro"),
     ("[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]", "accelerometer x"),
     ("[[1, 0, 0], [0, -1, 0], [0, 0, 1]]", "accelerometer y"),
@@ -285,7 +279,7 @@ echo '[{"ifname":"can0","flags":[%s],"operstate":"UP","linkinfo":{"info_kind":"c
 """
 
 
-@pytest.mark.parametrize(("flags", "state", "bitrate", "status", "words"), [
+@pytest.mark.parametrize("flags, state, bitrate, status, words", [
     ('"NOARP","UP","ECHO"', "ERROR-ACTIVE", 1000000, "ok", "error-active, 1000000 bit/s"),
     ('"NOARP","ECHO"', "STOPPED", 1000000, "FAIL", "is down; sudo ip link set can0 up type can bitrate 1000000"),
     ('"NOARP","UP","ECHO"', "ERROR-ACTIVE", 500000, "FAIL", "500000 bit/s, the rig says 1000000"),

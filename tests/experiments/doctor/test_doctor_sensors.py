@@ -50,7 +50,7 @@ def test_a_rig_with_nothing_else_passes(tmp_path: Path, monkeypatch: pytest.Monk
     assert "range 8.19 A" in checks["second shunt zero"].words
 
 
-@pytest.mark.parametrize(("spoil", "name", "status", "line"), [
+@pytest.mark.parametrize("spoil, name, status, line", [
     (lambda rig: setattr(rig.pivot, "status", 0), "pivot sensor", "FAIL", "no magnet: the field is too weak"),
     (lambda rig: setattr(rig.pivot, "status", MD | ML), "pivot magnet", "warn", "too weak: the gain is at its most"),
     (lambda rig: setattr(rig.pivot, "status", MD | MH), "pivot magnet", "warn", "too strong: the gain is at its least"),

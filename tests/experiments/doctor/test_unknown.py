@@ -10,7 +10,7 @@ from experiments.doctor.unknown import largest_unknown
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
 
 
-@pytest.mark.parametrize(("text", "words"), [
+@pytest.mark.parametrize("text, words", [
     ("", "the torque constant, 5 % (1 sigma, by default)"),
     ("[tolerance]\ntorque_gain = 0.002\n", "accelerometer's zero, 1 %"),
     ("[tolerance]\ntorque_gain = 0.002\nimu_lever_arm = 0.01\n", "distance from the pivot, 5 % (1 sigma, as stated)"),

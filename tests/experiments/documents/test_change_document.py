@@ -1,7 +1,5 @@
 """`legid.diagnosis/1` with `against` and `legid.sessions/1` as structs: earlier files are read."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 
 import legid
-from tests.support.earlier import FOLDER, earlier
+from tests.support.earlier import FOLDER, again, earlier
 
 CHANGE = earlier("change")
 SESSIONS = earlier("sessions")
@@ -36,8 +34,7 @@ def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path
     found.page(tmp_path / "page.html")  # which needs no motion
     page = (tmp_path / "page.html").read_text()
     assert "<svg" in page and "b.csv is damaged: the end" in page and "encoder_offset, joint 2" in page
-    found.to_json(tmp_path / "again.json")
-    assert json.loads((tmp_path / "again.json").read_text()) == CHANGE
+    assert again(found) == CHANGE
     with pytest.raises(legid.InputError, match="against"):
         legid.Change.read(written(tmp_path, {k: v for k, v in CHANGE.items() if k != "against"}))
 
@@ -50,8 +47,7 @@ def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Pat
     assert len(found.to_frame("candidates")) == 4 and "<p>No difference</p>" in found._repr_html_()
     found.page(tmp_path / "page.html")
     assert "B against A: Changed" in (tmp_path / "page.html").read_text()
-    found.to_json(tmp_path / "again.json")
-    again = json.loads((tmp_path / "again.json").read_text())
-    assert [pair.pop("wall_s") for pair in again["pairs"]] == [0.0, 0.0] and again == SESSIONS
+    kept = again(found)
+    assert [pair.pop("wall_s") for pair in kept["pairs"]] == [0.0, 0.0] and kept == SESSIONS
     one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": SESSIONS["pairs"][1:]}))
     assert "From A to B:" in str(one) and "from" not in one.to_frame()

@@ -1,14 +1,11 @@
 """`legid.comparison/1` as a struct: files of earlier versions are read and shown."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import numpy as np
 
 import legid
-from tests.support.earlier import FOLDER, earlier
+from tests.support.earlier import FOLDER, again, earlier
 
 
 def test_a_comparison_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
@@ -24,5 +21,4 @@ def test_a_comparison_of_an_earlier_version_is_read_shown_and_written(tmp_path: 
     found.page(tmp_path / "c.html")
     page = (tmp_path / "c.html").read_text()
     assert "<h2>Free-run errors over horizons</h2>" in page and "<h2>Free run of" not in page
-    found.to_json(tmp_path / "again.json")
-    assert json.loads((tmp_path / "again.json").read_text()) == earlier("comparison")
+    assert again(found) == earlier("comparison")

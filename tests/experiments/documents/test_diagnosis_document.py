@@ -1,8 +1,6 @@
 """`legid.diagnosis/1` as a struct: files of earlier versions are read and told, and what only a diagnosis has is
 refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from pathlib import Path

@@ -1,11 +1,8 @@
 """docs/schemas: one JSON Schema a document, as the structs are, which documents keep."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import inf
-from typing import Any
 
 import jsonschema  # type: ignore[import-untyped]
 import numpy as np
@@ -27,12 +24,12 @@ def test_the_files_are_current() -> None:
     assert {path.name: path.read_text(encoding="utf-8") for path in FOLDER.iterdir()} == schemas()
 
 
-@pytest.mark.parametrize(("name", "document"), [
+@pytest.mark.parametrize("name, document", [
     ("fit", document_of(synthetic_fit())), ("fit", document_of(OPEN)),
     ("diagnosis", DiagnosisDocument.of(synthetic())), ("diagnosis", DiagnosisDocument.of(Diagnosis("fit_failed", "x"))),
     ("diagnosis", DiagnosisDocument.of(replace(synthetic(), sensors={"q1_rad": SensorGain(inf, inf, inf)})))])
 def test_a_document_keeps_its_schema_and_can_be_read(name: str, document: Document) -> None:
-    schema: Any = json.loads(schemas()[f"legid.{name}-1.json"])
+    schema = json.loads(schemas()[f"legid.{name}-1.json"])
     jsonschema.validate(document.document, schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**document.document, "schema": "legid.other/1"}, schema)

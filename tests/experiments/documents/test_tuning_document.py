@@ -1,19 +1,17 @@
 """`legid.tuning/1` as a struct: files of earlier versions are read and shown."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
 import legid
-from tests.support.earlier import FOLDER, earlier
+from tests.support.earlier import FOLDER, again, earlier
 
 EARLIER = earlier("tuning")
 
 
-def test_a_tuning_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
+def test_a_tuning_of_an_earlier_version_is_read_shown_and_written() -> None:
     found = legid.Tuning.read(FOLDER / "tuning.json")
     text = str(found)
     assert text.startswith("2 entries of rig.toml chosen; rms prediction error over 1 s") and found.predicts
@@ -25,8 +23,7 @@ def test_a_tuning_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path
     with pytest.raises(ValueError, match="neither"):
         found.to_frame("flags")
     assert "<td>[sampling] rate_hz</td>" in found._repr_html_() and repr(found).startswith("<Tuning: 2 entries")
-    found.to_json(tmp_path / "again.json")
-    assert json.loads((tmp_path / "again.json").read_text()) == EARLIER
+    assert again(found) == EARLIER
 
 
 def test_nothing_is_chosen_where_no_fit_predicts(tmp_path: Path) -> None:

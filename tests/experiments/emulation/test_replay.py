@@ -9,12 +9,11 @@ import pytest
 from daq.runs import RawRun, read_run
 from daq.timing import recorded_rig
 from estimator import FitResult
-from experiments import cli
 from experiments.emulation import LegBody, replay_run
 from experiments.workflows import fit_runs
 from tests.support.paths import FIXTURES
 from tests.support.sensor_bench import SensorBench
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 NAMES = ("healthy", "pulled-cable", "gap", "clock-reset", "saturated-gyro", "noisy")
 SAID = {"pulled-cable": "the connection is gone", "gap": "bus errors [errno 121]",
@@ -27,7 +26,7 @@ def recorded(name: str) -> Path:
 
 def replayed(name: str, folder: Path, *more: object) -> Path:
     out = folder / f"{name}-{len(list(folder.iterdir()))}.mcap"
-    assert cli.main(["record", "--replay", str(recorded(name)), "--out", str(out), *map(str, more)]) == 0
+    typed("record --replay", recorded(name), "--out", out, *map(str, more))
     return out
 
 
@@ -91,26 +90,25 @@ def test_a_replay_says_that_it_is_one(tmp_path: Path, shell: Shell) -> None:
 
 
 def test_a_replay_under_other_limits_names_the_one_that_it_would_pass(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        tmp_path: Path, shell: Shell) -> None:
     replayed("healthy", tmp_path)
-    assert "limit" not in capsys.readouterr().out
+    assert "limit" not in shell.out
     tight = tmp_path / "tight.toml"
     tight.write_text((FIXTURES / "rig.toml").read_text().replace("q2_rad = 3.0", "q2_rad = 0.3"))
     replayed("healthy", tmp_path, "--rig", tight)
-    assert "limit q2_rad tripped" in capsys.readouterr().out
+    assert "limit q2_rad tripped" in shell.out
 
 
 def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, shell: Shell) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recorded("healthy").read_bytes()[:200_000])
-    shell("record --replay", cut, "--out", tmp_path / "out.mcap", status=2)
-    assert "is damaged: its end is missing" in shell.err
+    assert "is damaged: its end is missing" in shell.fails("record --replay", cut, "--out", tmp_path / "out.mcap")
 
 
 def test_a_run_of_another_kind_of_recorder_is_refused_by_name(tmp_path: Path, shell: Shell) -> None:
     from tests.support.motor_off_runs import write_off
 
     write_off(tmp_path / "still.mcap")  # no device said in it what it is
-    shell("record --replay", tmp_path / "still.mcap", "--out", tmp_path / "n.mcap", status=2)
-    assert "does not say which firmware it is of" in shell.err
+    said = shell.fails("record --replay", tmp_path / "still.mcap", "--out", tmp_path / "n.mcap")
+    assert "does not say which firmware it is of" in said
     assert not (tmp_path / "n.mcap").exists()

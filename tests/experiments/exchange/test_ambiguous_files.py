@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from experiments.cli import main
 from experiments.exchange.binary import read_mat, read_parquet
-from experiments.exchange.column_map import load_map
-from tests.support.imported_files import pendulum
+from tests.support.imported_files import guess, pendulum, table
+from tests.support.shell import Shell
 
 
-def table(path: Path, **columns: np.ndarray) -> Path:
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", comments="", fmt="%.9g",
-               header=",".join(columns))
-    return path
-
-
-def double_pendulum(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def double_pendulum() -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and relative angles (n, 2) of two point masses that swing freely."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     grid = np.arange(1500) * 0.01
 
     def rates(_: float, y: np.ndarray) -> list[float]:
@@ -36,69 +29,61 @@ def double_pendulum(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("unit", [1.0, 180.0 / np.pi])
 def test_two_angles_without_a_torque_are_a_free_chain(unit: float, tmp_path: Path,
-                                                      capsys: pytest.CaptureFixture[str]) -> None:
+                                                      shell: Shell) -> None:
     t, q = double_pendulum()
-    file = table(tmp_path / "x.csv", time=t, theta1=unit * q[:, 0], theta2=unit * q[:, 1], u=0.1 * np.sin(t))
-    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    found = load_map(tmp_path / "c.toml")
-    assert {name: (c.name, c.unit, c.sign) for name, c in found.items() if name != "time_s"} == {
+    file = table(tmp_path / "x.csv", {"time": t, "theta1": unit * q[:, 0], "theta2": unit * q[:, 1],
+                                        "u": 0.1 * np.sin(t)})
+    assert {name: (c.name, c.unit, c.sign) for name, c in guess(file).items() if name != "time_s"} == {
         "q1_rad": ("theta1", "deg" if unit > 1.0 else "", 1), "q2_rad": ("theta2", "deg" if unit > 1.0 else "", 1)}
-    err = capsys.readouterr().err
+    err = shell.err
     assert "actuated = []" in err and "'u' may drive a joint" in err
 
 
-def test_forces_are_no_angles_and_a_wrench_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_forces_are_no_angles_and_a_wrench_is_asked_for(tmp_path: Path, shell: Shell) -> None:
     t, q = double_pendulum()
-    axes = {f"/base/wrench/{kind}/{axis}": np.sin(t + k) for k, (kind, axis) in enumerate(
-        (kind, axis) for kind in ("force", "torque") for axis in "xyz")}
-    file = table(tmp_path / "x.csv", time=t, shoulder_position=q[:, 0], elbow_position=q[:, 1], **axes)
-    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
-    found = load_map(tmp_path / "c.toml")
+    axes = {f"/base/wrench/{name}": np.sin(t + k) for k, name in enumerate(
+        f"{kind}/{axis}" for kind in ("force", "torque") for axis in "xyz")}
+    file = table(tmp_path / "x.csv", {"time": t, "shoulder_position": q[:, 0], "elbow_position": q[:, 1], **axes})
+    found = guess(file, status=1)
     assert [found[name].name for name in ("q1_rad", "q2_rad")] == ["shoulder_position", "elbow_position"]
-    assert len(found) == 3 and "no name says which of them is the torque of which joint" in capsys.readouterr().err
+    assert len(found) == 3 and "no name says which of them is the torque of which joint" in shell.err
 
 
-def test_efforts_of_unwritten_memory_are_no_torque(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_efforts_of_unwritten_memory_are_no_torque(tmp_path: Path, shell: Shell) -> None:
     t, q, _ = pendulum()
     lines = "".join(f"{a:.3f},{b:.6f},{-5.38e-310 * (k % 5)!r}\n" for k, (a, b) in enumerate(zip(t, q)))
     (tmp_path / "x.csv").write_text("time,position,effort\n" + lines)
-    assert main(["import", str(tmp_path / "x.csv"), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-    assert "'effort' holds no torque" in capsys.readouterr().err
+    assert "'effort' holds no torque" in shell.fails("import", tmp_path / "x.csv", "--guess --map", tmp_path / "c.toml")
 
 
 @pytest.mark.parametrize("unit", ["A", "mA", "counts"])
-def test_amperes_need_a_scale(unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_amperes_need_a_scale(unit: str, tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
-    file = table(tmp_path / "x.csv", t=t, q=q, i=tau)
+    file = table(tmp_path / "x.csv", {"t": t, "q": q, "i": tau})
     text = '[columns.{}]\nname = "{}"\n'
     base = text.format("time_s", "t") + text.format("q1_rad", "q") + text.format("tau1_nm", "i") + f'unit = "{unit}"\n'
     (tmp_path / "m.toml").write_text(base)
-    command = ["import", str(file), "--map", str(tmp_path / "m.toml"), "--out", str(tmp_path / "out")]
-    assert main(command) == 2
-    assert f"is in {unit} and has no scale; give scale, the torque at the joint per {unit}" in capsys.readouterr().err
+    command = "import", file, "--map", tmp_path / "m.toml", "--out", tmp_path / "out"
+    assert f"is in {unit} and has no scale; give scale, the torque at the joint per {unit}" in shell.fails(*command)
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n' + base)
-    assert main(["fit", str(file), "--rig", str(tmp_path / "rig.toml")]) == 2
-    assert "has no scale" in capsys.readouterr().err
+    assert "has no scale" in shell.fails("fit", file, "--rig", tmp_path / "rig.toml")
     (tmp_path / "m.toml").write_text(base + "scale = 0.05\n")
-    assert main(command) == 0
+    shell(*command)
 
 
-def test_a_rate_stands_for_times_in_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rate_stands_for_times_in_a_guess(tmp_path: Path, shell: Shell) -> None:
     _, q, tau = pendulum()
-    file = table(tmp_path / "x.csv", position=q, torque=tau)
-    assert main(["import", str(file), "--guess", "--rate", "100", "--map", str(tmp_path / "c.toml")]) == 0
-    out = capsys.readouterr().out
-    assert "--rate 100" in out and "time_s" not in load_map(tmp_path / "c.toml")
-    assert main(["import", str(file), "--map", str(tmp_path / "c.toml"), "--rate", "100", "--out",
-                 str(tmp_path / "out")]) == 0
+    file = table(tmp_path / "x.csv", {"position": q, "torque": tau})
+    assert "time_s" not in guess(file, "--rate 100") and "--rate 100" in shell.out
+    shell("import", file, "--map", tmp_path / "x.toml", "--rate 100 --out", tmp_path / "out")
 
 
-def test_a_wrapped_angle_is_unwrapped_before_the_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrapped_angle_is_unwrapped_before_the_guess(tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
-    file = table(tmp_path / "x.csv", t=t, angle_deg=np.degrees(q) % 360.0, torque=tau)
-    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    assert main(["import", str(file), "--map", str(tmp_path / "c.toml"), "--out", str(tmp_path / "out")]) == 0
-    assert "a wrapped angle. Unwrapped" in capsys.readouterr().err
+    file = table(tmp_path / "x.csv", {"t": t, "angle_deg": np.degrees(q) % 360.0, "torque": tau})
+    guess(file)
+    shell("import", file, "--map", tmp_path / "x.toml", "--out", tmp_path / "out")
+    assert "a wrapped angle. Unwrapped" in shell.err
     run = np.loadtxt(tmp_path / "out" / "x.csv", delimiter=",", skiprows=1)
     assert np.ptp(run[:, 1] - q) < 1e-6
 
@@ -130,9 +115,9 @@ def test_objects_of_matlab_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
                                         "struct(Theta1) or Theta1.Data instead"}
 
 
-def test_a_file_of_another_program_is_sent_to_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_another_program_is_sent_to_import(tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
-    file = table(tmp_path / "x.csv", stamp=t, winkel=q, moment=tau)
-    assert main(["fit", str(file), "--rig", str(tmp_path / "rig.toml")]) == 2
-    assert f"run: legid import {file} --map columns.toml --guess" in capsys.readouterr().err
+    file = table(tmp_path / "x.csv", {"stamp": t, "winkel": q, "moment": tau})
+    said = shell.fails("fit", file, "--rig", tmp_path / "rig.toml")
+    assert f"run: legid import {file} --map columns.toml --guess" in said

@@ -8,8 +8,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import typed
 
 
 def bag(folder: Path, coarse: str, empty_efforts: bool) -> Path:
@@ -35,13 +35,12 @@ def bag(folder: Path, coarse: str, empty_efforts: bool) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("coarse", "empty", "torque"), [
+@pytest.mark.parametrize("coarse, empty, torque", [
     ("raw", False, "/joint_states/knee/effort"), ("joint_states", False, "/knee_motor/torque/data"),
     ("joint_states", True, "/knee_motor/torque/data")])
-def test_the_better_torque_of_a_bag_is_taken(coarse: str, empty: bool, torque: str, tmp_path: Path,
-                                             capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_better_torque_of_a_bag_is_taken(coarse: str, empty: bool, torque: str, tmp_path: Path) -> None:
     target = tmp_path / "c.toml"
-    assert main(["import", str(bag(tmp_path / "bag", coarse, empty)), "--guess", "--map", str(target)]) == 0
+    typed("import", bag(tmp_path / "bag", coarse, empty), "--guess --map", target)
     names = dict(re.findall(r'\[columns\.(\w+)\]\nname = "([^"]+)"', target.read_text()))
     assert names["tau2_nm"] == torque and names["q2_rad"] == "/joint_states/knee/position"
     assert (", which may be" in target.read_text() or "may be its torque" in target.read_text()) == (not empty)

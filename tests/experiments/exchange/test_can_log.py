@@ -6,6 +6,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from daq.errors import InputError
 from daq.rig_columns import Column
@@ -33,8 +34,8 @@ def test_an_odrive_s_angle_and_current_become_a_run(suffix: str, tmp_path: Path)
                               "tau1_nm": Column(name="odrive3/Iq_measured [A]", unit="A", scale=0.08, delay=0.001)})
     assert run.rate_hz == pytest.approx(100.0, rel=0.01)
     at = run.time_s  # the log's first message is the angle's
-    np.testing.assert_allclose(run["q1_rad"], 0.2 * np.pi * np.sin(3.0 * at), atol=2e-4)
-    np.testing.assert_allclose(run["tau1_nm"], 0.016 * np.sin(3.0 * at), atol=2e-5)
+    assert_allclose(run["q1_rad"], 0.2 * np.pi * np.sin(3.0 * at), atol=2e-4)
+    assert_allclose(run["tau1_nm"], 0.016 * np.sin(3.0 * at), atol=2e-5)
 
 
 def test_a_moteus_reply_of_every_kind() -> None:
@@ -57,7 +58,7 @@ def test_a_moteus_on_the_bus(tmp_path: Path) -> None:
                                                 is_fd=True, data=data))
     imported = read_can_log(tmp_path / "bus.log")
     values = imported.table_of("moteus1/position [turn]").columns["moteus1/position [turn]"]
-    np.testing.assert_allclose(values, TURNS, atol=0.51e-4)
+    assert_allclose(values, TURNS, atol=0.51e-4)
 
 
 def test_logs_of_others(tmp_path: Path) -> None:

@@ -1,13 +1,14 @@
 """Files of other programs: guessed, imported and fitted; and what a map or a file may not say."""
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.rosbag2 import StoragePlugin
 from scipy.io import savemat
 
@@ -21,8 +22,9 @@ from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map, map_text
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.reading import load_any_run, read_imported
-from tests.support.imported_files import matlab, plotjuggler, ros2_bag, spreadsheet
+from tests.support.imported_files import guess, matlab, plotjuggler, ros2_bag, spreadsheet
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell, document, typed
 
 LEG = Leg(coulomb=(0.01, 0.02))
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
@@ -34,48 +36,35 @@ def run() -> Dataset:
     return record(LEG, np.random.default_rng(7), seconds=15.0, amplitude=1.0, name="x")
 
 
-def fitted(run: Dataset, rig: Path) -> np.ndarray:
-    return legid.fit([run], load_rig(rig)).beta
-
-
-@pytest.mark.parametrize(("file", "make", "close"), [
-    ("x.csv", spreadsheet, 1e-3), ("x.csv", plotjuggler, 1e-3), ("x.mat", matlab, 1e-3),
-    ("bag", lambda r, p: ros2_bag(r, p, StoragePlugin.MCAP), 1e-3),
-    ("bag", lambda r, p: ros2_bag(r, p, StoragePlugin.SQLITE3), 1e-3)],
+@pytest.mark.parametrize("file, make", [
+    ("x.csv", spreadsheet), ("x.csv", plotjuggler), ("x.mat", matlab),
+    ("bag", partial(ros2_bag, plugin=StoragePlugin.MCAP)), ("bag", partial(ros2_bag, plugin=StoragePlugin.SQLITE3))],
     ids=["spreadsheet", "plotjuggler", "matlab", "ros2-mcap", "ros2-sqlite"])
-def test_from_somebody_s_file_to_a_fit_in_three_commands(file: str, make: Made, close: float, run: Dataset,
+def test_from_somebody_s_file_to_a_fit_in_three_commands(file: str, make: Made, run: Dataset,
                                                          tmp_path: Path) -> None:
     """Guess, import, fit: the parameters are those of the run before it was written in another's way."""
     (tmp_path / "rig.toml").write_text(RIG)
     theirs = make(run, tmp_path / file)
     columns, out = tmp_path / "columns.toml", tmp_path / "runs"
-    assert main(["import", str(theirs), "--guess", "--map", str(columns)]) == 0
+    typed("import", theirs, "--guess --map", columns)
     assert "<svg" in columns.with_suffix(".html").read_text()
     if make is plotjuggler:  # no file says how late its stamps are; who knows adds it
         columns.write_text(re.sub(r'(name = "/imu/.*")', r"\1\ndelay = 0.002", columns.read_text()))
-    assert main(["import", str(theirs), "--map", str(columns), "--out", str(out)]) == 0
+    typed("import", theirs, "--map", columns, "--out", out)
     (imported,) = out.iterdir()
-    assert main(["fit", str(imported), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")]) == 0
-    beta = np.array([p["value"] for p in json.loads((tmp_path / "f.json").read_text())["parameters"]])
-    expected = fitted(run, _rig_without_hall(tmp_path))
-    np.testing.assert_allclose(beta[:5], expected[:5], rtol=close)
-    np.testing.assert_allclose(beta[:5], LEG.beta()[:5], rtol=0.03)
-
-
-def _rig_without_hall(folder: Path) -> Path:
-    path = folder / "same.toml"
-    path.write_text(RIG)
-    return path
+    beta = np.array([p["value"] for p in document("fit", imported, "--rig", tmp_path / "rig.toml")["parameters"]])
+    expected = legid.fit([run], load_rig(tmp_path / "rig.toml")).beta
+    assert_allclose(beta[:5], expected[:5], rtol=1e-3)
+    assert_allclose(beta[:5], LEG.beta()[:5], rtol=0.03)
 
 
 def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> None:
     theirs = matlab(run, tmp_path / "x.mat")
-    assert main(["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    (tmp_path / "rig.toml").write_text(RIG + (tmp_path / "c.toml").read_text())
+    mapped = apply_map(read_imported(theirs), guess(theirs), 100.0)
+    (tmp_path / "rig.toml").write_text(RIG + (tmp_path / "x.toml").read_text())
     read = load_any_run(theirs, load_rig(tmp_path / "rig.toml"))
-    mapped = apply_map(read_imported(theirs), load_map(tmp_path / "c.toml"), 100.0)
     for name in ("q2_rad", "tau2_nm", "gyro_radps"):
-        np.testing.assert_array_equal(read[name], mapped[name])
+        assert_array_equal(read[name], mapped[name])
     assert np.abs(np.abs(read["q2_rad"]) - np.abs(run["q2_rad"])).max() < 1e-12
     write_csv(replace(run, clock_bound_s=1e-4), tmp_path / "own.csv")  # which the map does not speak of
     own = load_any_run(tmp_path / "own.csv", load_rig(tmp_path / "rig.toml"))
@@ -95,15 +84,15 @@ def logged(run: Dataset, **others: np.ndarray) -> dict[str, np.ndarray]:
     return own | others
 
 
-def guessed(columns: dict[str, np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def guessed(columns: dict[str, np.ndarray], tmp_path: Path, shell: Shell
             ) -> tuple[int, dict[str, Column], str]:
     """Exit status, the map, and what was printed."""
     status = main(["import", str(as_csv(columns, tmp_path / "x.csv")), "--guess", "--map", str(tmp_path / "m.toml")])
-    said = capsys.readouterr()
+    said = shell.read()
     return status, load_map(tmp_path / "m.toml"), said.out + said.err
 
 
-def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, shell: Shell) -> None:
     """A motor's angle, an absolute one, interchanged joints, an accelerometer without gravity."""
     q1, q2 = run["q1_rad"], run["q2_rad"]
     free = {"ax": run["accel_x_mps2"] - 9.81 * np.sin(q1), "ay": run["accel_y_mps2"] + 9.81 * np.cos(q1)}
@@ -111,14 +100,14 @@ def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, caps
     files = [logged(run, knee=50.0 * q2 / (2.0 * np.pi)), logged(run, knee=q1 + q2), swapped, logged(run, **free)]
     for k, columns in enumerate(files):
         (tmp_path / str(k)).mkdir()
-        status, _, said = guessed(columns, tmp_path / str(k), capsys)
+        status, _, said = guessed(columns, tmp_path / str(k), shell)
         assert status == 1 and "NOT KNOWN" in said and "inertias are positive" not in said, said
         page = (tmp_path / str(k) / "m.html").read_text()
         assert 'data-tone="bad"' in page and page.index("NOT TO BE USED") < page.index("<table")
 
 
 def test_units_by_physics_where_names_are_silent_or_wrong(run: Dataset, tmp_path: Path,
-                                                          capsys: pytest.CaptureFixture[str]) -> None:
+                                                          shell: Shell) -> None:
     said = {}
     for k, (columns, units) in enumerate([
             (logged(run, knee=1e3 * run["q2_rad"], gz=np.rad2deg(1e3 * run["gyro_radps"])), ("mrad", "mdps")),
@@ -126,45 +115,42 @@ def test_units_by_physics_where_names_are_silent_or_wrong(run: Dataset, tmp_path
               "iq_A": run["tau2_nm"]}, ("deg", "deg")),
             (logged(run) | {"knee_rad": np.rad2deg(run["q2_rad"]), "knee": np.ones(len(run))}, ("deg", ""))]):
         (tmp_path / str(k)).mkdir()
-        status, found, said[k] = guessed(columns, tmp_path / str(k), capsys)
+        status, found, said[k] = guessed(columns, tmp_path / str(k), shell)
         other = found["gyro_radps"] if "gyro_radps" in found else found["q1_rad"]
         assert status == 0 and (found["q2_rad"].unit, other.unit) == units, said[k]
     assert "N m per A of 'iq_A'" in said[1] and "says rad, but in deg" in said[2]
 
 
 def test_gaps_and_a_second_angle_do_not_mislead(run: Dataset, tmp_path: Path,
-                                                capsys: pytest.CaptureFixture[str]) -> None:
+                                                shell: Shell) -> None:
     knee = run["q2_rad"].copy()
     knee[::17] = knee[100:130] = np.nan
     columns = logged(run) | {"motor_pos": 50.0 * run["q2_rad"], "load_pos": knee}
     del columns["knee"]
     columns["t"] = np.where(np.arange(len(run)) == 40, np.nan, run.time_s)
-    status, found, said = guessed(columns, tmp_path, capsys)
+    status, found, said = guessed(columns, tmp_path, shell)
     assert status == 0 and found["q2_rad"] == Column(name="load_pos"), said
 
 
-@pytest.mark.parametrize(("change", "words"), [
+@pytest.mark.parametrize("change, words", [
     ({"knee": None}, "'knee' holds 'ERR' in line 61"), ({"torque": np.zeros(1)}, "'torque' never changes"),
     ({"gz": np.full(1, np.nan)}, "'gz' is blank"), ({"t": np.array([0.0, -1.0])}, "'t' runs backwards"),
     ({"t": np.zeros(1)}, "'t' stands still")])
 def test_a_column_that_cannot_be_used_is_named(change: dict[str, np.ndarray | None], words: str, run: Dataset,
-                                               tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+                                               tmp_path: Path, shell: Shell) -> None:
     ((name, values),) = change.items()
     columns = logged(run, **{name: np.resize(run["q2_rad"] if values is None else values, len(run))})
     text = as_csv(columns, tmp_path / "x.csv").read_text().splitlines()
     if values is None:
         text[60::10] = [re.sub(r"^([^,]*),[^,]*", r"\1,ERR", line) for line in text[60::10]]
     (tmp_path / "x.csv").write_text("\n".join(text))
-    assert main(["import", str(tmp_path / "x.csv"), "--guess", "--map", str(tmp_path / "m.toml")]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1, error
+    assert words in shell.fails("import", tmp_path / "x.csv", "--guess --map", tmp_path / "m.toml")
 
 
-def test_a_count_of_rows_is_no_time(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_count_of_rows_is_no_time(run: Dataset, tmp_path: Path, shell: Shell) -> None:
     columns = {"sample": np.arange(float(len(run))), **logged(run)}
     del columns["t"]
-    assert main(["import", str(as_csv(columns, tmp_path / "x.csv")), "--guess", "--map", str(tmp_path / "m")]) == 2
-    assert "lacks a time" in capsys.readouterr().err
+    assert "lacks a time" in shell.fails("import", as_csv(columns, tmp_path / "x.csv"), "--guess --map", tmp_path / "m")
 
 
 def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
@@ -174,8 +160,8 @@ def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
     run = apply_map(read_delimited(tmp_path / "x.csv"), {
         "time_s": Column(name="t"), "tau2_nm": Column(name="i", unit="mA", scale=3.0, sign=-1, offset=0.5),
         "q2_rad": Column(name="w", delay=0.02)})
-    np.testing.assert_allclose(run["tau2_nm"], 0.5 - 6e-3 * run.time_s, atol=1e-9)
-    np.testing.assert_allclose(run["q2_rad"], np.sin(run.time_s), atol=1e-6)
+    assert_allclose(run["tau2_nm"], 0.5 - 6e-3 * run.time_s, atol=1e-9)
+    assert_allclose(run["q2_rad"], np.sin(run.time_s), atol=1e-6)
 
 
 @pytest.mark.parametrize("text", [
@@ -194,7 +180,7 @@ def test_a_map_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert load_map(tmp_path / "m.toml") == columns
 
 
-@pytest.mark.parametrize(("text", "words"), [
+@pytest.mark.parametrize("text, words", [
     ("", "has no [columns]"), ("[columns.knee]\nname = 'a'", "is no column of a run"),
     ("[columns.q2_rad]\nname = 'a'\nunit = 'degs'", "did you mean 'deg'"),
     ("[columns.q2_rad]\nunit = 'deg'", "name"), ("[columns.q2_rad]\nname = 'a'\nsign = 2", "sign"),
@@ -206,7 +192,7 @@ def test_maps_that_cannot_be(text: str, words: str, tmp_path: Path) -> None:
     assert words in str(caught.value)
 
 
-def test_files_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_that_cannot_be(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "m.toml").write_text("[columns.time_s]\nname = 't'\n[columns.q2_rad]\nname = 'kne'\n")
     rows = "".join(f"{k},{k}\n" for k in range(60))
     files = {"a.csv": "t,knee\n" + rows, "b.csv": "", "c.mat": "no", "d.parquet": "no", "e.db3": "no",
@@ -216,33 +202,31 @@ def test_files_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]
              "runs backwards in 2 of 62 rows, first in row 61"]
     for (name, text), expected in zip(files.items(), words):
         (tmp_path / name).write_text(text)
-        assert main(["import", str(tmp_path / name), "--map", str(tmp_path / "m.toml"),
-                     "--out", str(tmp_path / "out")]) == 2
-        error = capsys.readouterr().err
-        assert expected in error and error.count("\n") == 1, error
+        said = shell.fails("import", tmp_path / name, "--map", tmp_path / "m.toml", "--out", tmp_path / "out")
+        assert expected in said
 
 
 def test_of_a_matlab_variable_that_occurs_twice_the_second_is_used_and_told(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder) -> None:
+        tmp_path: Path, shell: Shell, recwarn: pytest.WarningsRecorder) -> None:
     time = np.arange(60) / 100.0
     for name, content in (("one", {"t": time, "knee": np.zeros(60)}), ("two", {"knee": np.sin(time)})):
         savemat(tmp_path / name, content, appendmat=False)
     header = 128
     (tmp_path / "x.mat").write_bytes((tmp_path / "one").read_bytes() + (tmp_path / "two").read_bytes()[header:])
     (tmp_path / "m.toml").write_text("[columns.time_s]\nname = 't'\n[columns.q2_rad]\nname = 'knee'\n")
-    words = ["import", str(tmp_path / "x.mat"), "--map", str(tmp_path / "m.toml"), "--out", str(tmp_path / "o")]
-    assert main(words) == 0
-    assert "'knee' has the name of the second" in "".join(capsys.readouterr()) and not recwarn.list
+    shell("import", tmp_path / "x.mat", "--map", tmp_path / "m.toml", "--out", tmp_path / "o")
+    assert "'knee' has the name of the second" in "".join(shell.read()) and not recwarn.list
     knee = np.genfromtxt(tmp_path / "o/x.csv", delimiter=",", names=True)["q2_rad"]
     assert knee[-1] == pytest.approx(np.sin(time[-1]), abs=1e-6)
 
 
-def test_nothing_is_written_over(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_written_over(run: Dataset, tmp_path: Path, shell: Shell) -> None:
     theirs = spreadsheet(run, tmp_path / "x.csv")
-    guess = ["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]
-    assert main(guess) == 0 and main(guess) == 0  # a guess that nobody has touched is made anew
-    (tmp_path / "c.toml").write_text((tmp_path / "c.toml").read_text() + "# mine\n")
-    assert main(guess) == 2
-    assert main(["import", str(theirs), "--map", str(tmp_path / "c.toml"), "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("exists already") == 2
+    map_file = tmp_path / "x.toml"
+    for _ in range(2):  # a guess that nobody has touched is made anew
+        guess(theirs)
+    map_file.write_text(map_file.read_text() + "# mine\n")
+    guess(theirs, status=2)
+    shell("import", theirs, "--map", map_file, "--out", tmp_path, status=2)
+    assert shell.err.count("exists already") == 2
     assert theirs.read_bytes().startswith(b"\xff\xfe")

@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from daq.runs import read_csv
-from experiments.cli import main
 from tests.support.driven_joint import record
+from tests.support.shell import Shell, typed
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> list[str]:
     """Two logs of a joint that swings, and one without its angle."""
-    made = [record(tmp_path / f"log{k}.csv", ("pos", "effort"), np.pi / 180, 1, 1.0) for k in range(2)]
+    made = [record(tmp_path / f"log{k}.csv", unit=np.pi / 180) for k in range(2)]
     (tmp_path / "other.csv").write_text("time,effort\n" + "".join(f"{0.01 * k},{k}\n" for k in range(50)))
     return [str(path) for path in (*made, tmp_path / "other.csv")]
 
 
 def test_it_shows_each_file_and_the_command_that_imports(files: list[str], tmp_path: Path,
-                                                         capsys: pytest.CaptureFixture[str]) -> None:
+                                                         shell: Shell) -> None:
     out = tmp_path / "runs"
-    assert main(["import", *files, "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    shell("import", *files, "--out", out)
+    said = shell.out
     rows = {line.split()[0]: line.split() for line in said.splitlines() if line.startswith(str(tmp_path))}
     assert rows[files[0]][1:5] == ["3000", "200", "15.0", "0.0"]
     assert "has no column 'pos'" in said and said.splitlines()[-1] == (
@@ -33,36 +33,36 @@ def test_it_shows_each_file_and_the_command_that_imports(files: list[str], tmp_p
 
 def test_the_command_that_it_names_works_next_to_the_logs(files: list[str], tmp_path: Path,
                                                          monkeypatch: pytest.MonkeyPatch,
-                                                         capsys: pytest.CaptureFixture[str]) -> None:
+                                                         shell: Shell) -> None:
     """A log that is a CSV would be written onto itself."""
     monkeypatch.chdir(tmp_path)
-    assert main(["import", "log0.csv", "--map", "columns.toml", "--guess"]) == 0
-    then = capsys.readouterr().out.splitlines()[-1].removeprefix("then: legid ").split()
-    assert main(then) == 0 and read_csv(tmp_path / "runs" / "log0.csv").columns["q1_rad"].size == 3000
+    shell("import log0.csv --map columns.toml --guess")
+    shell(shell.out.splitlines()[-1].removeprefix("then: legid "))
+    assert read_csv(tmp_path / "runs" / "log0.csv").columns["q1_rad"].size == 3000
 
 
-@pytest.mark.parametrize(("answer", "imported"), [("y", True), ("n", False), ("", False)])
+@pytest.mark.parametrize("answer, imported", [("y", True), ("n", False), ("", False)])
 def test_it_asks_a_person(answer: str, imported: bool, files: list[str], tmp_path: Path,
                           monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda question: answer)
-    assert main(["import", *files[:2], "--out", str(tmp_path / "runs")]) == 0
+    typed("import", *files[:2], "--out", tmp_path / "runs")
     assert sorted(p.name for p in (tmp_path / "runs").glob("*.csv")) == (["log0.csv", "log1.csv"] if imported else [])
 
 
 def test_yes_imports_and_can_be_repeated(files: list[str], tmp_path: Path) -> None:
     for _ in range(2):
-        assert main(["import", *files[:2], "--out", str(tmp_path / "runs"), "--yes"]) == 0
+        typed("import", *files[:2], "--out", tmp_path / "runs", "--yes")
     run = read_csv(tmp_path / "runs" / "log1.csv").columns
     assert np.abs(run["q1_rad"]).max() == pytest.approx(1.6, abs=0.2) and run["q1_rad"].size == 3000
 
 
 def test_a_map_that_was_edited_is_used_without_a_question(files: list[str], tmp_path: Path,
-                                                          capsys: pytest.CaptureFixture[str]) -> None:
+                                                          shell: Shell) -> None:
     out = tmp_path / "runs"
     out.mkdir()
     (out / "columns.toml").write_text('[columns.q1_rad]\nname = "pos"\n[columns.tau1_nm]\nname = "effort"\n'
                                       '[columns.time_s]\nname = "time"\n')
-    assert main(["import", files[0], "--out", str(out)]) == 0
-    assert f"map: {out / 'columns.toml'}" in capsys.readouterr().out
+    shell("import", files[0], "--out", out)
+    assert f"map: {out / 'columns.toml'}" in shell.out
     assert np.abs(read_csv(out / "log0.csv").columns["q1_rad"]).max() > 50.0  # as the map says: not in degrees

@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from experiments.cli import main
-from experiments.exchange import load_map
 from experiments.judge import number
+from tests.support.imported_files import guess, table
+from tests.support.shell import Shell, typed
 
 
 def swinging(rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
@@ -22,35 +21,27 @@ def swinging(rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
     return t, np.array(found)
 
 
-def written(path: Path, head: str, *columns: np.ndarray) -> Path:
-    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=head, comments="")
-    return path
-
-
 def test_a_wrap_shows_the_unit_and_a_name_keeps_its_backslash(tmp_path: Path,
-                                                              capsys: pytest.CaptureFixture[str]) -> None:
+                                                              shell: Shell) -> None:
     t, q = swinging()
     degrees = (np.degrees(q) + 180.0) % 360.0 - 180.0
-    file, target = written(tmp_path / "a.csv", r"t,$\theta$,u", t, degrees, np.sin(t)), tmp_path / "c.toml"
-    assert main(["import", str(file), "--guess", "--map", str(target)]) == 0
-    column = load_map(target)["q1_rad"]
-    assert (column.name, column.unit) == (r"$\theta$", "deg") and r'"$\\theta$"' in target.read_text()
-    assert "'u' may drive a joint" in capsys.readouterr().err
+    column = guess(table(tmp_path / "a.csv", {"t": t, r"$\theta$": degrees, "u": np.sin(t)}))["q1_rad"]
+    assert (column.name, column.unit) == (r"$\theta$", "deg") and r'"$\\theta$"' in (tmp_path / "a.toml").read_text()
+    assert "'u' may drive a joint" in shell.err
 
 
-def test_steps_of_time_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_steps_of_time_are_no_times(tmp_path: Path, shell: Shell) -> None:
     t, q = swinging(25.0)
     elapsed = 40.0 + np.random.default_rng(1).integers(-1, 2, t.size)
-    file = written(tmp_path / "a.csv", "position,elapsed", q, elapsed)
-    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-    said = capsys.readouterr().err
+    file = table(tmp_path / "a.csv", {"position": q, "elapsed": elapsed})
+    said = shell.fails("import", file, "--guess --map", tmp_path / "c.toml")
     assert "'elapsed' is the step from row to row, 40 in the median; give the rate by --rate HZ" in said
 
 
 def test_two_links_of_which_the_first_has_a_motor_are_a_chain(tmp_path: Path) -> None:
     t, q = swinging()
-    file = written(tmp_path / "a.csv", "time_s,q1_rad,q2_rad,tau1_nm", t, q, 0.1 * q, np.sin(t))
-    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(file)]) == 0
+    file = table(tmp_path / "a.csv", {"time_s": t, "q1_rad": q, "q2_rad": 0.1 * q, "tau1_nm": np.sin(t)})
+    typed("init", tmp_path / "rig.toml", "--from", file)
     assert 'model = "chain"' in (tmp_path / "rig.toml").read_text()
 
 

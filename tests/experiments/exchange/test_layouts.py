@@ -9,11 +9,12 @@ import pytest
 
 from daq import Dataset, InputError
 from daq.runs import read_csv
-from experiments.cli import main
 from experiments.exchange import guess_map, read_imported, runs_in
 from experiments.exchange.column_map import apply_map
+from tests.support.imported_files import table
 from tests.support.public_layouts import SO101, bam, dynamixel, feetech, lerobot, trajectory_bag
 from tests.support.servo_joint import servo_run
+from tests.support.shell import Shell
 from tests.support.tree_files import npz
 
 COUNT = 2.0 * np.pi / 4096
@@ -54,14 +55,13 @@ def test_lerobot_s_episodes_are_runs_with_names_of_joints(v2: bool, tmp_path: Pa
         assert run["q1_cmd_rad"] == pytest.approx(wanted["q1_cmd_rad"][: len(run)], abs=1e-5)
 
 
-@pytest.mark.parametrize(("scale", "said"), [(1.0, "do not say whether .pos is in degrees or in per cent"),
+@pytest.mark.parametrize("scale, said", [(1.0, "do not say whether .pos is in degrees or in per cent"),
                                              (2.5, "so they are in degrees")])
 def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Path,
-                                          capsys: pytest.CaptureFixture[str]) -> None:
+                                          shell: Shell) -> None:
     (path,) = lerobot(tmp_path / "set", [arm(3, scale=scale)], 25.0)
-    args = ["import", str(path), "--joints", "shoulder_lift,elbow_flex,wrist_flex", "--yes", "--out"]
-    assert main([*args, str(tmp_path / "runs")]) == 0
-    told = capsys.readouterr().err
+    shell("import", path, "--joints shoulder_lift,elbow_flex,wrist_flex --yes --out", tmp_path / "runs")
+    told = shell.err
     assert said in told and "taken for a chain in one plane" in told
     (tmp_path / "set/meta/info.json").write_text("[]")
     with pytest.raises(InputError, match=r"info\.json: is no info"):
@@ -70,11 +70,11 @@ def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Pat
 
 @pytest.mark.parametrize("load", ["observation.effort", "observation.current"])
 def test_a_load_of_lerobot_is_kept_and_its_unit_asked_for(load: str, tmp_path: Path,
-                                                          capsys: pytest.CaptureFixture[str]) -> None:
+                                                          shell: Shell) -> None:
     joints = arm(3)
     (path,) = lerobot(tmp_path / "set", [joints], 25.0, load=load)
-    assert main(["import", str(path), "--joints", "wrist_flex,elbow_flex", "--yes", "--out", str(tmp_path / "r")]) == 0
-    told = capsys.readouterr().err
+    shell("import", path, "--joints wrist_flex,elbow_flex --yes --out", tmp_path / "r")
+    told = shell.err
     assert "do not say the unit of" in told and "kept as load1_raw, load2_raw" in told and "tau1_nm" in told
     run = read_csv(tmp_path / "r/file-000.csv").columns
     elbow = joints[SO101.index("elbow_flex")]
@@ -84,7 +84,7 @@ def test_a_load_of_lerobot_is_kept_and_its_unit_asked_for(load: str, tmp_path: P
     known = tmp_path / "columns.toml"
     stated = (tmp_path / "r/columns.toml").read_text()
     known.write_text(stated.replace("[columns.load2_raw]", "[columns.tau2_nm]\nscale = 0.5"))
-    assert main(["import", str(path), "--map", str(known), "--out", str(tmp_path / "known")]) == 0
+    shell("import", path, "--map", known, "--out", tmp_path / "known")
     torque = read_csv(tmp_path / "known/file-000.csv").columns["tau2_nm"]
     assert torque == pytest.approx(0.5 * run["load2_raw"], abs=1e-6)
 
@@ -118,7 +118,7 @@ def test_a_controller_s_state_has_the_names_of_its_joints() -> None:
         "/state/feedback/hip/position": 2.0, "/state/feedback/knee/position": 2.5}
 
 
-def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bam_s_released_servo_has_no_command(tmp_path: Path) -> None:
     run = servo_run(seconds=6.0, rate_hz=200.0)
     file = bam(tmp_path / "x.json", run, "xl330", released_s=4.0)
     found = guess_map(read_imported(file))
@@ -126,8 +126,7 @@ def test_bam_s_released_servo_has_no_command(tmp_path: Path, capsys: pytest.Capt
     within = run.time_s < 3.99
     read = apply_map(read_imported(file), found.columns)
     assert np.array_equal(read["torque_enable"] >= 0.99, read.time_s < 4.0)
-    given = read["q1_cmd_rad"][: int(within.sum())]
-    assert given == pytest.approx(run["q1_cmd_rad"][within], abs=1e-6)
+    assert read["q1_cmd_rad"][: within.sum()] == pytest.approx(run["q1_cmd_rad"][within], abs=1e-6)
     assert np.isnan(read["q1_cmd_rad"][read.time_s > 4.02]).all() or read.time_s[-1] < 4.02
     duty = np.round(0.25 * 885 * np.sin(3.0 * run.time_s)) / 885
     assert read["duty"][:600] == pytest.approx(duty[:600], abs=1e-9)
@@ -199,11 +198,10 @@ def test_a_register_says_whether_the_motor_is_on(name: str, tmp_path: Path) -> N
 
 def test_degrees_in_whole_numbers_are_no_counts(tmp_path: Path) -> None:
     run = servo_run()
-    angle = np.round(run["q1_rad"] * 180.0 / np.pi)
-    np.savetxt(tmp_path / "x.csv", np.column_stack([run.time_s, angle, run["q1_cmd_rad"] * 180.0 / np.pi]),
-               delimiter=",", comments="", header="time,present_position,goal_position", fmt="%.9g")
-    found = guess_map(read_imported(tmp_path / "x.csv"))
-    assert found.columns["q1_rad"].scale == 1.0 and found.columns["q1_rad"].unit == "deg"
+    found = guess_map(read_imported(table(tmp_path / "x.csv", {
+        "time": run.time_s, "present_position": np.round(run["q1_rad"] / DEGREE),
+        "goal_position": run["q1_cmd_rad"] / DEGREE}))).columns["q1_rad"]
+    assert found.scale == 1.0 and found.unit == "deg"
 
 
 def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:

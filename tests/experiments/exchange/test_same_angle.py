@@ -1,7 +1,5 @@
 """Several columns of one angle, and remedies that exist: copies are named, and --rate and MATLAB's objects are told."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable
@@ -14,19 +12,14 @@ from scipy.io import savemat
 from experiments.cli import main
 from experiments.exchange.column_map import load_map
 from tests.support.driven_joint import record
-
-
-def written(folder: Path, columns: dict[str, np.ndarray]) -> Path:
-    path = folder / "x.csv"
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", comments="", fmt="%.8g",
-               header=",".join(columns))
-    return path
+from tests.support.imported_files import guess, table
+from tests.support.shell import Shell
 
 
 def joint(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time, angle and torque of a driven joint."""
-    table = np.loadtxt(record(folder / "j.csv", ("pos", "effort"), 1.0, 1, 1.0), delimiter=",", skiprows=1)
-    return table[:, 0], table[:, 1], table[:, 2]
+    time, angle, torque = np.loadtxt(record(folder / "j.csv"), delimiter=",", skiprows=1).T
+    return time, angle, torque
 
 
 def late(x: np.ndarray) -> np.ndarray:
@@ -46,14 +39,12 @@ COPIES: dict[str, tuple[str, Make, str]] = {
 
 @pytest.mark.parametrize("kind", COPIES)
 def test_an_angle_that_is_another_again_is_named_and_left_out(kind: str, tmp_path: Path,
-                                                             capsys: pytest.CaptureFixture[str]) -> None:
+                                                             shell: Shell) -> None:
     name, make, told = COPIES[kind]
     time, angle, torque = joint(tmp_path)
-    path = written(tmp_path, {"t": time, name: make(angle), "joint_angle": angle, "torque": torque})
-    assert main(["import", str(path), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    said = capsys.readouterr().err
+    found = guess(table(tmp_path / "x.csv", {"t": time, name: make(angle), "joint_angle": angle, "torque": torque}, 8))
+    said = shell.err
     assert f"{name!r} is {told}" in said and "correlation" in said
-    found = load_map(tmp_path / "c.toml")
     assert found["q1_rad"].name == "joint_angle" and not {"q2_rad", "q3_rad"} & set(found)
 
 
@@ -62,25 +53,24 @@ def test_two_joints_that_move_alike_are_two(tmp_path: Path) -> None:
     first = 0.5 * np.sin(3.0 * time)
     second = 0.5 * np.sin(3.0 * time - 0.01) + 1e-3 * np.random.default_rng(1).normal(size=1000)
     columns = {"t": time, "q1_pos": first, "q2_pos": second, "q3_pos": 0.4 * np.cos(time)}
-    assert main(["import", str(written(tmp_path, columns)), "--guess", "--map", str(tmp_path / "c.toml")]) in (0, 1)
+    file = table(tmp_path / "x.csv", columns)
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) in (0, 1)
     assert {"q1_rad", "q2_rad", "q3_rad"} <= set(load_map(tmp_path / "c.toml"))
 
 
 @pytest.mark.parametrize("names", [("angle_rad", "torque_nm"), ("pos", "effort"), ("theta", "tau")])
 def test_without_a_time_the_rate_is_asked_for(names: tuple[str, str], tmp_path: Path,
-                                             capsys: pytest.CaptureFixture[str]) -> None:
+                                             shell: Shell) -> None:
     _, angle, torque = joint(tmp_path)
-    path = written(tmp_path, dict(zip(names, (angle, torque))))
-    assert main(["import", str(path), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-    assert "give its rate by --rate HZ" in capsys.readouterr().err
+    path = table(tmp_path / "x.csv", dict(zip(names, (angle, torque))), 8)
+    assert "give its rate by --rate HZ" in shell.fails("import", path, "--guess --map", tmp_path / "c.toml")
 
 
-def test_a_counter_of_time_that_wraps_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_counter_of_time_that_wraps_is_told(tmp_path: Path, shell: Shell) -> None:
     time, angle, torque = joint(tmp_path)
     ticks = np.round(1e6 * time + 2.0**32 - 1e6) % 2.0**32
-    path = written(tmp_path, {"time_us": ticks, "pos": angle, "effort": torque})
-    assert main(["import", str(path), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
-    assert "it wraps by 4294967296, first in row" in capsys.readouterr().out
+    guess(table(tmp_path / "x.csv", {"time_us": ticks, "pos": angle, "effort": torque}, 8))
+    assert "it wraps by 4294967296, first in row" in shell.out
 
 
 def element(kind: int, data: bytes) -> bytes:
@@ -98,13 +88,12 @@ def mat_objects(path: Path, names: list[str], kind: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("names", "kind", "told"), [
+@pytest.mark.parametrize("names, kind, told", [
     (["alpha", "beta_dot"], "timeseries", "alpha, beta_dot are MATLAB timeseries objects"),
     (["run1"], "timetable", "run1 is a MATLAB timetable object"),
     (["q", "u", "tau"], "table", "q, u, tau are MATLAB table objects")])
 def test_matlab_objects_alone_are_named_with_the_remedy(names: list[str], kind: str, told: str, tmp_path: Path,
-                                                       capsys: pytest.CaptureFixture[str]) -> None:
+                                                       shell: Shell) -> None:
     path = mat_objects(tmp_path / "o.mat", names, kind)
-    assert main(["import", str(path), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-    said = capsys.readouterr().err
+    said = shell.fails("import", path, "--guess --map", tmp_path / "c.toml")
     assert told in said and "which only MATLAB can read" in said and f"save {names[0]}.Time" in said

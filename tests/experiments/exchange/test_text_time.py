@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from experiments.cli import main
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.text_time import read_times
-from tests.support.imported_files import pendulum
+from tests.support.imported_files import guess, pendulum, table
+from tests.support.shell import Shell, typed
 
 
-@pytest.mark.parametrize(("cells", "seconds"), [
+@pytest.mark.parametrize("cells, seconds", [
     (["2026-11-27T09:16:00.005Z", "2026-11-27T09:16:00.255Z"], [0.0, 0.25]),
     (["2026-11-27 09:16:00+01:00", "2026-11-27 09:16:01+00:00"], [0.0, 3601.0]),
     (["27.11.2026 23:59:59,500", "28.11.2026 00:00:00,250"], [0.0, 0.75]),
@@ -22,7 +23,7 @@ from tests.support.imported_files import pendulum
 def test_dates_and_times_of_day_become_seconds(cells: list[str], seconds: list[float]) -> None:
     found = read_times(cells)
     assert found is not None
-    np.testing.assert_allclose(found, seconds, atol=1e-9)
+    assert_allclose(found, seconds, atol=1e-9)
 
 
 @pytest.mark.parametrize("cells", [["abc", "def"], ["2026-13-01 00:00:00"] * 3, ["1.5", "2.5"], ["", ""],
@@ -40,10 +41,9 @@ def written(path: Path, head: str, stamps: list[str], *columns: np.ndarray, sepa
 
 def imported(file: Path, folder: Path) -> np.ndarray:
     """Columns of the run that an import by a guess writes."""
-    columns = folder / "c.toml"
-    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
-    assert main(["import", str(file), "--map", str(columns), "--out", str(folder / "out")]) == 0
-    return np.loadtxt(folder / "out" / f"{file.stem}.csv", delimiter=",", skiprows=1)
+    guess(file)
+    typed("import", file, "--map", file.with_suffix(".toml"), "--out", folder / "out")
+    return np.loadtxt(folder / "out" / file.name, delimiter=",", skiprows=1)
 
 
 def test_a_log_over_midnight_is_imported(tmp_path: Path) -> None:
@@ -51,8 +51,8 @@ def test_a_log_over_midnight_is_imported(tmp_path: Path) -> None:
     stamps = [f"{int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}" for s in 86395.0 + t]
     run = imported(written(tmp_path / "x.csv", "clock,angle,torque", stamps, q, tau), tmp_path)
     assert len(run) == t.size
-    np.testing.assert_allclose(run[:, 0] - run[0, 0], t, atol=1e-6)
-    np.testing.assert_allclose(run[:, 1], q, atol=1e-5)
+    assert_allclose(run[:, 0] - run[0, 0], t, atol=1e-6)
+    assert_allclose(run[:, 1], q, atol=1e-5)
 
 
 def test_a_german_log_with_its_line_of_units_is_imported(tmp_path: Path) -> None:
@@ -61,37 +61,33 @@ def test_a_german_log_with_its_line_of_units_is_imported(tmp_path: Path) -> None
     file = written(tmp_path / "x.csv", "Zeitstempel;Winkel;Drehmoment\n;°;N·m", stamps, np.degrees(q), tau,
                    separator=";")
     run = imported(file, tmp_path)
-    np.testing.assert_allclose(run[:, 0], t, atol=1e-6)
-    np.testing.assert_allclose(run[:, 1], q, atol=1e-5)
+    assert_allclose(run[:, 0], t, atol=1e-6)
+    assert_allclose(run[:, 1], q, atol=1e-5)
 
 
-def test_stamps_that_are_too_coarse_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stamps_that_are_too_coarse_say_so(tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
     for name, stamps, told in (("a.csv", [f"10:00:{s - s % 0.1:06.3f}" for s in t], "--rate HZ"),
                                ("b.csv", [f"{1.764235e9 + s:.6e}" for s in t], "its times have 7 digits only")):
         file = written(tmp_path / name, "time,angle,torque", stamps, q, tau)
-        assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-        err = capsys.readouterr().err
+        err = shell.fails("import", file, "--guess --map", tmp_path / "c.toml")
         assert "stands still" in err and told in err and "sort" not in err
-        assert main(["import", str(file), "--guess", "--rate", "100", "--map", str(tmp_path / "r.toml")]) == 0
+        shell("import", file, "--guess --rate 100 --map", tmp_path / "r.toml")
         (tmp_path / "r.toml").unlink()
 
 
-def test_a_counter_of_microseconds_that_wraps_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_counter_of_microseconds_that_wraps_goes_on(tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
     stamps = [f"{(2**32 - 5_000_000 + round(1e6 * s)) % 2**32}" for s in t]
     run = imported(written(tmp_path / "x.csv", "time_us,angle_rad,torque_nm", stamps, q, tau), tmp_path)
-    np.testing.assert_allclose(np.diff(run[:, 0]), 0.01, atol=1e-6)
-    assert "wraps once by 4294.967296" in capsys.readouterr().err
+    assert_allclose(np.diff(run[:, 0]), 0.01, atol=1e-6)
+    assert "wraps once by 4294.967296" in shell.err
 
 
-def test_a_clock_that_starts_again_is_cut_not_sorted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_clock_that_starts_again_is_cut_not_sorted(tmp_path: Path, shell: Shell) -> None:
     t = np.tile(np.arange(300) * 0.01, 2)
-    file = tmp_path / "run.csv"
-    np.savetxt(file, np.column_stack([t, np.sin(t), np.cos(t)]), delimiter=",", comments="",
-               header="time_s,q1_rad,tau1_nm")
-    assert main(["info", str(file)]) == 2
-    assert "the clock starts again there: cut the file at line 302" in capsys.readouterr().err
+    file = table(tmp_path / "run.csv", {"time_s": t, "q1_rad": np.sin(t), "tau1_nm": np.cos(t)})
+    assert "the clock starts again there: cut the file at line 302" in shell.fails("info", file)
 
 
 def test_a_header_with_labels_names_its_channels(tmp_path: Path) -> None:
@@ -101,7 +97,7 @@ def test_a_header_with_labels_names_its_channels(tmp_path: Path) -> None:
     file = written(tmp_path / "x.csv", head, [f"{s:.3f}" for s in t], np.degrees(q), t, 1e3 * tau)
     assert read_delimited(file).names == ["Angle time", "Angle [deg]", "Torque time", "Torque [mnm]"]
     run = imported(file, tmp_path)
-    np.testing.assert_allclose(run[:, 2], tau, atol=1e-5)
+    assert_allclose(run[:, 2], tau, atol=1e-5)
 
 
 @pytest.mark.parametrize("head", ["", "angle_rad\n"])
@@ -109,7 +105,6 @@ def test_one_column_at_a_known_rate_is_a_run(head: str, tmp_path: Path) -> None:
     angle = np.sin(np.arange(500) * 0.02)
     (tmp_path / "swing.txt").write_text(head + "".join(f"{a:.5f}\n" for a in angle))
     (tmp_path / "m.toml").write_text(f'[columns.q1_rad]\nname = "{head.strip() or "column 1"}"\n')
-    assert main(["import", str(tmp_path / "swing.txt"), "--map", str(tmp_path / "m.toml"), "--rate", "250", "--out",
-                 str(tmp_path / "out")]) == 0
+    typed("import", tmp_path / "swing.txt", "--map", tmp_path / "m.toml", "--rate 250 --out", tmp_path / "out")
     run = np.loadtxt(tmp_path / "out" / "swing.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)
+    assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)

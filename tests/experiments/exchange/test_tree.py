@@ -6,17 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.io import savemat
 
 from daq.errors import InputError
 from daq.rig import load_rig
 from daq.rig_columns import Column
 from daq.runs.csv_run import read_csv
-from experiments.cli import main
 from experiments.exchange.column_map import apply_map
 from experiments.exchange.imported import ImportedFile, Table
 from experiments.exchange.reading import load_any_run, read_imported
+from tests.support.imported_files import table
 from tests.support.paths import DEMO_RIG, ROOT
+from tests.support.shell import Shell
 from tests.support.tree_files import Maker, npz, records, structs
 
 T = np.arange(200) / 100.0
@@ -24,7 +26,7 @@ COLUMNS = {"t": T, "a": np.sin(3.0 * T), "b": np.sin(3.0 * T) + 0.5 * np.cos(2.0
 RELATIVE = COLUMNS["b"] - COLUMNS["a"]
 
 
-@pytest.mark.parametrize(("file", "make", "names"), [
+@pytest.mark.parametrize("file, make, names", [
     ("x.mat", structs, ("log.time", "log.state.q[1]", "log.state.q[2]")), ("x.npz", npz, ("t", "a", "b")),
     ("x.json", records, ("entries.t", "entries.a", "entries.b"))])
 def test_each_kind_by_its_names_with_relative_angles(file: str, make: Maker, names: tuple[str, str, str],
@@ -33,7 +35,7 @@ def test_each_kind_by_its_names_with_relative_angles(file: str, make: Maker, nam
     t, a, b = names
     run = apply_map(read_imported(tmp_path / file), {
         "time_s": Column(name=t), "q1_rad": Column(name=a), "q2_rad": Column(name=b, minus=a)}, 100.0)
-    np.testing.assert_allclose(run["q2_rad"], np.interp(run.time_s, T, RELATIVE), atol=1e-6)
+    assert_allclose(run["q2_rad"], np.interp(run.time_s, T, RELATIVE), atol=1e-6)
     assert len(run) >= len(T) - 1
 
 
@@ -44,17 +46,14 @@ def test_groups_of_hdf5(tmp_path: Path) -> None:
     assert read_imported(tmp_path / "x.h5").names == ["log/q[1]", "log/q[2]", "log/t"]
 
 
-@pytest.mark.parametrize(("name", "program"), [("x.pkl", "pickle"), ("x.PICKLE", "pickle"), ("x.pt", "PyTorch"),
+@pytest.mark.parametrize("name, program", [("x.pkl", "pickle"), ("x.PICKLE", "pickle"), ("x.pt", "PyTorch"),
                                                ("x.pth", "PyTorch")])
 @pytest.mark.parametrize("command", ["import", "fit"])
 def test_a_pickle_is_refused_with_what_to_save(command: str, name: str, program: str, tmp_path: Path,
-                                               capsys: pytest.CaptureFixture[str]) -> None:
+                                               shell: Shell) -> None:
     (tmp_path / name).write_bytes(pickle.dumps(COLUMNS))
-    more = ["--out", str(tmp_path)] if command == "import" else ["--rig", str(DEMO_RIG)]
-    assert main([command, str(tmp_path / name), *more]) == 2
-    said = capsys.readouterr().err
+    said = shell.fails(command, tmp_path / name, *("--out", tmp_path) if command == "import" else ("--rig", DEMO_RIG))
     assert f"{name}: is a {program} file" in said and "save its columns as CSV, Parquet or .npz" in said
-    assert said.count("\n") == 1
 
 
 def test_what_the_page_saves_from_a_pickle_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +67,7 @@ def test_what_the_page_saves_from_a_pickle_is_read(tmp_path: Path, monkeypatch: 
         assert set(read_imported(name).names) == {"t", "a", "b"}
 
 
-def test_cells_and_trials_are_named_with_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cells_and_trials_are_named_with_what_to_do(tmp_path: Path, shell: Shell) -> None:
     trials = np.empty((1, 2), dtype=object)
     trials[0] = [COLUMNS["a"], COLUMNS["a"][:150]]
     savemat(tmp_path / "x.mat", {"t": T, "knee": trials, "stack": np.zeros((3, 200, 2)), "names": ["hip", "knee"]})
@@ -77,8 +76,8 @@ def test_cells_and_trials_are_named_with_what_to_do(tmp_path: Path, capsys: pyte
     for name in ("knee", "knee{1}"):
         with pytest.raises(InputError, match=r"column 'knee' is no table of numbers; save each of its parts under a"):
             apply_map(found, {"time_s": Column(name="t"), "q1_rad": Column(name=name)})
-    assert main(["import", str(tmp_path / "x.mat"), "--out", str(tmp_path)]) == 2
-    assert "'knee' is no table of numbers: save each of its parts" in capsys.readouterr().err
+    said = shell.fails("import", tmp_path / "x.mat", "--out", tmp_path)
+    assert "'knee' is no table of numbers: save each of its parts" in said
 
 
 def test_cells_of_matlab_7_3_are_named_too(tmp_path: Path) -> None:
@@ -100,7 +99,7 @@ def test_a_map_computes_nothing(column: str, name: str, tmp_path: Path) -> None:
 
 
 def test_a_rig_s_map_computes_nothing_either(tmp_path: Path) -> None:
-    (tmp_path / "x.csv").write_text("time_s,thigh,shank\n" + "".join(f"{t},{t},{t}\n" for t in T))
+    table(tmp_path / "x.csv", dict.fromkeys(("time_s", "thigh", "shank"), T))
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = []\n'
                                        '[columns.q1_rad]\nname = "shank - thigh"\n')
     with pytest.raises(InputError, match="a map computes nothing"):
@@ -112,7 +111,7 @@ def test_a_column_is_taken_off_another(tmp_path: Path) -> None:
     found = read_imported(tmp_path / "x.npz")
     columns = {"time_s": Column(name="t"), "q1_rad": Column(name="/j/a - x"),
                "q2_rad": Column(name="b", minus="/j/a - x", sign=-1, scale=2.0, offset=0.5)}
-    np.testing.assert_allclose(apply_map(found, columns, 100.0)["q2_rad"], 0.5 - 2.0 * RELATIVE)
+    assert_allclose(apply_map(found, columns, 100.0)["q2_rad"], 0.5 - 2.0 * RELATIVE)
     with pytest.raises(InputError, match="'short' has 9 rows, that which it is taken off 200"):
         apply_map(found, {**columns, "q2_rad": Column(name="b", minus="short")})
     with pytest.raises(InputError, match="has no column 'c'"):
@@ -124,59 +123,54 @@ def test_columns_with_times_of_their_own_are_taken_off_by_lines_between_samples(
     found = ImportedFile("x", (Table({"b": COLUMNS["b"]}, T), Table({"a": 3.0 * slow}, slow)))
     run = apply_map(found, {"q1_rad": Column(name="b", minus="a")}, 100.0)
     within = run.time_s <= slow[-1]
-    np.testing.assert_allclose(run["q1_rad"][within], (COLUMNS["b"] - 3.0 * T)[: within.sum()], atol=1e-9)
+    assert_allclose(run["q1_rad"][within], (COLUMNS["b"] - 3.0 * T)[: within.sum()], atol=1e-9)
 
 
-def test_wrong_rows_are_left_out_by_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_rows_are_left_out_by_number(tmp_path: Path, shell: Shell) -> None:
     lines = ["t,a,other", *(f"{t:.3f},{a:.9g},1" for t, a in zip(T, COLUMNS["a"]))]
-    lines[60] = re_celled(lines[60], "ERR")
+    for k, cell in ((60, "ERR"), (80, "1e30")):
+        t, _, other = lines[k].split(",")
+        lines[k] = f"{t},{cell},{other}"
     lines[70] += ",7"
-    lines[80] = re_celled(lines[80], "1e30")
     lines[90] = lines[89]
     (tmp_path / "x.csv").write_text("\n".join(lines))
     (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
-    assert main(["import", str(tmp_path / "x.csv"), "--map", str(tmp_path / "m.toml"),
-                 "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().err
+    shell("import", tmp_path / "x.csv", "--map", tmp_path / "m.toml", "--out", tmp_path / "out")
+    said = shell.err
     for part in ("4 wrong samples", "line 71 (has 4 cells", "line 61 ('a' holds 'ERR')", "larger than any reading",
                  "its time is not after the one before"):
         assert part in said, said
     run = read_csv(tmp_path / "out/x.csv")
-    np.testing.assert_allclose(run.columns["q1_rad"], np.sin(3.0 * run.time_s), atol=1e-4)
-
-
-def re_celled(line: str, cell: str) -> str:
-    t, _, other = line.split(",")
-    return f"{t},{cell},{other}"
+    assert_allclose(run.columns["q1_rad"], np.sin(3.0 * run.time_s), atol=1e-4)
 
 
 def test_a_bad_file_does_not_stop_the_others_and_all_can_be_repeated(tmp_path: Path,
-                                                                     capsys: pytest.CaptureFixture[str]) -> None:
+                                                                     shell: Shell) -> None:
     for name in ("a.npz", "c.npz", "d/a.npz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         npz(COLUMNS, tmp_path / name)
     (tmp_path / "b.npz").write_text("no")
     (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
     out = tmp_path / "out"
-    files = [str(tmp_path / name) for name in ("a.npz", "b.npz", "c.npz", "d/a.npz")]
-    command = ["import", *files, "--map", str(tmp_path / "m.toml"), "--out", str(out)]
+    files = [tmp_path / name for name in ("a.npz", "b.npz", "c.npz", "d/a.npz")]
+    to = "--map", tmp_path / "m.toml", "--out", out
     made = {f"{tmp_path.name}-a.csv", "c.csv", "d-a.csv"}
     for _ in range(2):
-        assert main(command) == 2
-        said = capsys.readouterr().err
+        shell("import", *files, *to, status=2)
+        said = shell.err
         assert "b.npz" in said and "1 of 4 files not imported" in said and "exists already" not in said
         assert {path.name for path in out.iterdir()} == made
     (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "b"\n')
-    del command[2]
-    assert main(command) == 2 and "exists already" in capsys.readouterr().err
-    assert main([*command, "--force"]) == 0
-    np.testing.assert_allclose(read_csv(out / "c.csv").columns["q1_rad"], COLUMNS["b"], atol=1e-9)
+    del files[1]
+    shell("import", *files, *to, status=2)
+    assert "exists already" in shell.err
+    shell("import", *files, *to, "--force")
+    assert_allclose(read_csv(out / "c.csv").columns["q1_rad"], COLUMNS["b"], atol=1e-9)
 
 
 def test_a_grid_finer_than_the_record_is_said(tmp_path: Path) -> None:
     t = np.arange(200) / 50.0
-    (tmp_path / "x.csv").write_text("\n".join(["time_s,q1_rad,tau1_nm", *(
-        f"{a:.3f},{np.sin(a):.9g},{np.cos(a):.9g}" for a in t)]))
+    table(tmp_path / "x.csv", {"time_s": t, "q1_rad": np.sin(t), "tau1_nm": np.cos(t)}, 9)
     said = {}
     for grid in (50, 100):
         (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n'

@@ -1,7 +1,5 @@
 """Every verdict has a next step with its place and a command that exists; a huge share of a budget is no bar."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,6 @@
 """The first line: trusted where nothing is hidden, doubted where something is, and the statistics behind it."""
 
 import io
-import json
 import re
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -16,7 +15,6 @@ from estimator import Combination, Finding, FitOptions, Trajectory, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
 from estimator.result import OmittedEffect
-from experiments import cli
 from experiments.documents import ComparisonDocument
 from experiments.emulation import EFFECTS, NOTHING, record_emulated
 from experiments.excite import random_multisine
@@ -37,17 +35,16 @@ from tests.support.fits import synthetic_fit
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document, typed
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_path: Path) -> Path:
     """Runs of a leg with a spring that nobody told of, and of one without."""
-    out = tmp_path_factory.mktemp("trust")
     for name, k in (("none", 0), ("none", 1), ("none", 2), ("joint_stiffness", 0)):
-        record_emulated(out / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(), random_multisine(30 + k, 4.0, 0.6), k,
-                        hidden=EFFECTS.get(name, NOTHING))
-    return out
+        record_emulated(module_path / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(),
+                        random_multisine(30 + k, 4.0, 0.6), k, hidden=EFFECTS.get(name, NOTHING))
+    return module_path
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +54,7 @@ def fits(folder: Path) -> dict[str, str]:
     for name in ("none", "joint_stiffness"):
         runs = [str(path) for k in (0, 1) if (path := folder / f"{name}{k}.mcap").exists()]
         with redirect_stdout(io.StringIO()) as out:
-            assert cli.main(["fit", *runs, "--model-out", str(folder / f"{name}.json")]) == 0
+            typed("fit", *runs, "--model-out", folder / f"{name}.json")
         said[name] = out.getvalue().splitlines()[0]
     return said
 
@@ -88,10 +85,10 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
 
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
-        folder: Path, fits: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        folder: Path, fits: dict[str, str], tmp_path: Path, shell: Shell) -> None:
     def printed(*arguments: str) -> list[str]:
-        assert cli.main(list(arguments)) == 0
-        return capsys.readouterr().out.splitlines()
+        typed(*list(arguments))
+        return shell.out.splitlines()
 
     def said(*arguments: str) -> str:
         return printed(*arguments)[0]
@@ -178,7 +175,7 @@ def prediction(error: float, short: float) -> PredictedRun:
     return predicted_run("r", 100.0, measured, {SHORT_S: short * off, np.inf: error * off})
 
 
-@pytest.mark.parametrize(("whole", "short", "level", "words"), [
+@pytest.mark.parametrize("whole, short, level, words", [
     (0.05, 0.01, "good", "TRUST for simulation over 10 s: fit 95"),
     (0.2, 0.05, "caution", "TRUST for predictions of 1 s"),
     (0.5, 0.2, "caution", "ROUGH"),
@@ -213,16 +210,14 @@ def test_fit_is_matlab_s() -> None:
 
 def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[str, str], tmp_path: Path,
                                                       shell: Shell) -> None:
-    runs = [str(folder / f"{name}.mcap") for name in ("none2", "joint_stiffness0")]
-    models = [str(folder / f"{name}.json") for name in fits]
-    out, page = tmp_path / "c.json", tmp_path / "c.html"
-    shell("compare", *models, *runs, "--json", out, "--html", page)
+    files = [folder / name for name in (*(f"{name}.json" for name in fits), "none2.mcap", "joint_stiffness0.mcap")]
+    page = tmp_path / "c.html"
+    found = document("compare", *files, "--html", page)
     told = shell.out.splitlines()
     assert "joint_stiffness.json was fitted to joint_stiffness0.mcap" in "".join(told[:3])
-    document = json.loads(out.read_text())
-    assert document["schema"] == "legid.comparison/1" and {e["column"] for e in document["errors"]} == {
+    assert found["schema"] == "legid.comparison/1" and {e["column"] for e in found["errors"]} == {
         "q1_rad", "q2_rad", "gyro_radps"}
-    beta1 = document["parameters"][0]
+    beta1 = found["parameters"][0]
     std = np.hypot(beta1["a"]["std"], beta1["b"]["std"])
     assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 3
     assert "Coulomb friction, knee" in page.read_text() and "error of B" in page.read_text()
@@ -232,7 +227,7 @@ def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> 
     return HorizonError(1.0, "q1_rad", a, b, None if low is None else (low, high))
 
 
-@pytest.mark.parametrize(("errors", "words"), [
+@pytest.mark.parametrize("errors, words", [
     ([horizon(2.0, 1.0, 0.4, 0.6)] * 3 + [horizon(1.0, 1.0, 0.9, 1.1)], "B IS BETTER (b.json): at 3 of 4"),
     ([horizon(1.0, 2.0, 1.5, 2.5)] * 2, "A IS BETTER (a.json): at 2 of 2"),
     ([horizon(1.0, np.inf)] * 2, "A IS BETTER (a.json): at 2 of 2"),

@@ -35,14 +35,14 @@ def test_only_who_pressed_releases_or_somebody_at_the_machine(tmp_path: Path) ->
 # -- who may look in -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("host", "own"), [
+@pytest.mark.parametrize("host, own", [
     ("127.0.0.1", True), ("localhost", True), ("::1", True), ("[::1]", True), ("0.0.0.0", False),
     ("192.168.1.5", False), ("127.0.0.1.example", False), ("", False)])
 def test_only_this_machines_names_are_its_own(host: str, own: bool) -> None:
     assert is_loopback(host) is own
 
 
-@pytest.mark.parametrize(("kind", "headers", "token", "passes"), [
+@pytest.mark.parametrize("kind, headers, token, passes", [
     ("websocket", {"host": "localhost:1"}, None, True),
     ("websocket", {"host": "localhost:1", "origin": "http://localhost:1"}, None, True),
     ("websocket", {"host": "localhost:1", "origin": "http://evil.example"}, None, False),
@@ -56,8 +56,8 @@ def test_sockets_and_pages_of_strangers_are_refused(kind: str, headers: dict[str
                                                     passes: bool) -> None:
     import asyncio
 
-    reached: list[str] = []
-    sent: list[dict] = []
+    reached = []
+    sent = []
 
     async def app(scope: dict, receive: object, send: object) -> None:
         reached.append(scope["type"])
@@ -80,7 +80,7 @@ def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.Mon
 
 def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
     pytest.importorskip("nicegui")
-    out = ["--out", str(tmp_path / "o")]
+    out = "--out", tmp_path / "o"
     shell("live --rig", tmp_path / "none.toml", *out, status=2)
     (tmp_path / "rig.toml").write_text(RIG)
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -91,7 +91,7 @@ def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
     assert len(said) == 3 and "none.toml" in said[0] and "give another, or 0" in said[1] and "--host" in said[2]
 
 
-@pytest.mark.parametrize(("error", "kind"), [
+@pytest.mark.parametrize("error, kind", [
     (InputError("plan.csv, line 3", "time runs backwards", "sort it"), "failed"),
     (DeviceAbsent("leg controller on /dev/x: no such port; plug it in"), "lost"),
     (DeviceBusy("leg controller on /dev/x: another program holds the port; close it"), "failed")])

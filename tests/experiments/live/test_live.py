@@ -88,8 +88,8 @@ class Rig:
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    rig = Rig(tmp_path_factory.mktemp("live"))
+def rig(module_path: Path) -> Iterator[Rig]:
+    rig = Rig(module_path)
     yield rig
     rig.close()
 

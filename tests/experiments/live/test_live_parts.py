@@ -89,19 +89,23 @@ def test_a_watcher_that_reads_nothing_delays_and_loses_nothing(tmp_path: Path) -
     assert raw.streams["/leg/command"].size >= 1200
 
 
+def struck(bench: Bench, act: Callable[[], object], why: str) -> None:
+    """A recording that ends so, half a second after it began."""
+    def happens(now_s: float, remote: Remote) -> None:
+        if now_s > 0.5 and not remote.asked:
+            act()
+            until(lambda: remote.asked)
+
+    with pytest.raises(WorkError, match=why):
+        bench.record(happens)
+
+
 def test_stop_ramps_and_an_emergency_does_not(tmp_path: Path) -> None:
     for packet, kind, why in ((STOP, "stopped", "stopped by the dashboard"),
                               (EMERGENCY, "emergency", "stopped by the emergency stop")):
         (folder := tmp_path / kind).mkdir()
         bench = Bench(folder)
-
-        def happens(now_s: float, remote: Remote, bench: Bench = bench, packet: bytes = packet) -> None:
-            if now_s > 1.0 and not remote.asked:
-                bench.watcher.send(packet)
-                until(lambda: remote.asked)
-
-        with pytest.raises(WorkError, match=why):
-            bench.record(happens)
+        struck(bench, partial(bench.watcher.send, packet), why)
         ended = bench.read()[-1]
         assert isinstance(ended, Ended) and ended.kind == kind
         assert ended.motor == "torque off, the controller says DISARMED"
@@ -113,7 +117,7 @@ def test_stop_ramps_and_an_emergency_does_not(tmp_path: Path) -> None:
 
 def test_no_command_follows_an_emergency_and_the_stop_waits_for_nobody(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    order: list[str] = []
+    order = []
     stop, command = bench.controller.stop, bench.controller.command
     bench.controller.stop = lambda: (order.append("stop"), stop())[1]
     bench.controller.command = lambda torque_nm: (order.append("command"), command(torque_nm))[1]
@@ -130,14 +134,7 @@ def test_no_command_follows_an_emergency_and_the_stop_waits_for_nobody(tmp_path:
 
 def test_a_watcher_that_has_gone_ends_the_run(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-
-    def happens(now_s: float, remote: Remote) -> None:
-        if now_s > 0.5 and not remote.asked:
-            bench.watcher.close()
-            until(lambda: remote.asked)
-
-    with pytest.raises(WorkError, match="silence of the dashboard"):
-        bench.record(happens)
+    struck(bench, bench.watcher.close, "silence of the dashboard")
     raw = read_run(bench.path)
     assert raw.complete and "silence of the dashboard" in raw.events[-1].text
     assert bench.mock.firmware.drive.torque_nm == 0.0
@@ -145,17 +142,10 @@ def test_a_watcher_that_has_gone_ends_the_run(tmp_path: Path) -> None:
 
 def test_a_watcher_that_hangs_costs_the_torque_at_once(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    stopped_ns: list[int] = []
+    stopped_ns = []
     stop = bench.controller.stop
     bench.controller.stop = lambda: (stopped_ns.append(time.monotonic_ns()), stop())[1]
-
-    def happens(now_s: float, remote: Remote) -> None:
-        if now_s > 0.5 and not remote.asked:
-            bench.beating = False
-            until(lambda: remote.asked)
-
-    with pytest.raises(WorkError, match="silence of the dashboard"):
-        bench.record(happens)
+    struck(bench, lambda: setattr(bench, "beating", False), "silence of the dashboard")
     assert (stopped_ns[0] - bench.beat_ns) * 1e-9 < 0.2
     ended = bench.read()[-1]
     assert isinstance(ended, Ended) and ended.kind == "stopped" and "torque off" in ended.motor
@@ -281,7 +271,7 @@ def test_a_run_with_gaps_is_not_simply_finished_and_a_busy_computer_is_no_lost_d
     assert shown["phase"] == "Computer too busy" and "LOST" not in shown["text"].values()
 
 
-@pytest.mark.parametrize(("waited_ms", "turn_ms", "busy"), [(200, 210, True), (1, 210, False), (30, 31, False)])
+@pytest.mark.parametrize("waited_ms, turn_ms, busy", [(200, 210, True), (1, 210, False), (30, 31, False)])
 def test_only_waiting_for_a_processor_is_overload(tmp_path: Path, waited_ms: int, turn_ms: int, busy: bool) -> None:
     """A turn that a device blocks takes as long, and nobody waited for a processor."""
     source = tmp_path / "schedstat"

@@ -23,8 +23,8 @@ PATIENCE_S = 20.0
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with started_demo_rig(tmp_path_factory.mktemp("session") / "rig") as path:
+def rig(module_path: Path) -> Iterator[Path]:
+    with started_demo_rig(module_path / "rig") as path:
         t = np.arange(0.0, 8.0, 0.01)
         write_plan(Plan(t, np.full(t.size, 0.2)), path.parent / "steady.csv")
         yield path
@@ -128,7 +128,7 @@ def test_a_rig_edited_after_the_page_read_it_is_not_driven(rig: Path, tmp_path: 
         session = asyncio.run(run())
     finally:
         rig.write_text(before)
-    assert session.phase is Phase.FAILED and session.run_path is not None and not session.run_path.exists()
+    assert session.phase is Phase.FAILED and not session.run_path.exists()
     assert session.words == f"{rig}: was edited after legid live had read it; start legid live again."
     with pytest.raises(InputError, match="was edited"):
         read_rig_file(rig, "0" * 64)

@@ -18,17 +18,16 @@ from experiments.models import Model, TorqueTable, load_model, save_model, struc
 from experiments.models.schema import JointTorque, StructureValues, TableInput
 from experiments.models.structure import laws_of
 from experiments.reports.structure import structure_section, structure_words
-from tests.support.extended_models import model_with, plant_motion, run_of
+from tests.support.extended_models import assert_moves_as_the_plant, model_with, noisy_run, run_of
 from tests.support.learnt import hidden_magnet
-from tests.support.paths import DEMO_RIG as RIG
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 SPRING = TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-2.0, 2.0),), std=(0.001, 0.001),
                      values=(SPRING_NM * (-2.0 - REST_RAD), SPRING_NM * (2.0 - REST_RAD)))
 
 
-def with_table(table: TorqueTable, joint: int = 2) -> Model:
-    torque = JointTorque(joint=joint, constant=0.0, tables=(table,), noise_nm=0.01)
+def with_table(table: TorqueTable) -> Model:
+    torque = JointTorque(joint=2, constant=0.0, tables=(table,), noise_nm=0.01)
     structure = StructureValues(torques=(torque,), removed=0.5, removed_ci95=(0.4, 0.6))
     return msgspec.structs.replace(model_with(), structure=structure)
 
@@ -48,7 +47,7 @@ def test_a_learnt_structure_survives_the_file() -> None:
     model = msgspec.structs.replace(model_with(), structure=structure_values(found))
     (law,), (again,) = found.laws, laws_of(model)
     np.testing.assert_array_equal(again.torque(found.samples.at), law.torque(found.samples.at))
-    assert model.structure is not None and model.structure.removed == found.removed
+    assert model.structure.removed == found.removed
 
 
 @pytest.mark.parametrize("change, says", [
@@ -65,36 +64,25 @@ def test_a_structure_that_cannot_be_run_is_named(change: dict[str, Any], says: s
 
 
 def test_simulation_is_the_motion_of_a_plant_with_that_torque(tmp_path: Path) -> None:
-    with_it = run_of(with_table(SPRING), tmp_path)
-    truth = plant_motion("joint_stiffness", tmp_path)
-    without = run_of(model_with(), tmp_path)
-    for j, column in enumerate(("q1_rad", "q2_rad")):
-        error, plain = (np.sqrt(np.mean((run[column] - truth[:, j]) ** 2)) for run in (with_it, without))
-        assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * plain
+    assert_moves_as_the_plant(with_table(SPRING), "joint_stiffness", tmp_path)
 
 
-def test_validate_and_compare_use_it(tmp_path: Path, shell: Shell) -> None:
-    run_of(with_table(SPRING), tmp_path, "--noise-seed", "3")
-    rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
-    save_model(model_with(), tmp_path / "plain.json")
-    names = [str(tmp_path / name) for name in ("m.json", "plain.json", "run.csv")]
-    words = ["validate", names[0], names[2], "--rig", str(rig), "--horizons", "0.5", "--json", str(tmp_path / "v.json")]
-    shell(*words)
-    (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
+def test_validate_and_compare_use_it(tmp_path: Path) -> None:
+    rig = noisy_run(with_table(SPRING), tmp_path)
+    model, plain, log = (tmp_path / name for name in ("m.json", "plain.json", "run.csv"))
+    (run,) = document("validate", model, log, "--rig", rig, "--horizons 0.5")["runs"]
     assert run["rmse"]["q1_rad"] < 0.01 and run["rmse"]["q2_rad"] < 0.03
-    shell("compare", *names, "--rig", rig, "--horizons 0.5 --json", tmp_path / "c.json")
-    told = json.loads((tmp_path / "c.json").read_text())
+    told = document("compare", model, plain, log, "--rig", rig, "--horizons 0.5")
     assert all(row["b"] > 2.0 * row["a"] for row in told["errors"])
 
 
-def test_a_motion_beyond_its_range_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_motion_beyond_its_range_is_told(tmp_path: Path, shell: Shell) -> None:
     narrow = msgspec.structs.replace(SPRING, knots=((-0.05, 0.05),), values=(-0.01, 0.01))
     run_of(with_table(narrow), tmp_path)
-    said = capsys.readouterr().err
+    said = shell.err
     assert "angle of joint 2" in said and "leaves the range" in said
     run_of(with_table(SPRING), tmp_path)
-    assert "leaves the range" not in capsys.readouterr().err
+    assert "leaves the range" not in shell.err
     with pytest.warns(UserWarning, match="angle of joint 2"):
         legid.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
 
@@ -109,5 +97,5 @@ def test_reports_say_what_it_removes_and_where() -> None:
     assert all(finite(row.after) < finite(row.before) for row in told.error)
     document = DiagnosisDocument.of(Diagnosis("unexplained", "Something.", structure=found))
     section, read = structure_section(document, found), structure_section(document, None)
-    assert section is not None and read is not None and read.tables == section.tables and not read.pictures
+    assert read.tables == section.tables and not read.pictures
     assert len(section.pictures) == len(found.laws[0].tables) and "95 % band" in section.pictures[0].svg

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from daq import InputError
 from daq.recording import write_plan
@@ -16,9 +17,8 @@ from experiments.emulation import LegBody
 from experiments.emulation.hidden_effects import DRAG, REST_RAD, SPRING_NM
 from experiments.excite import random_multisine
 from experiments.models import EffectValue, effect_value, effects_of, load_model, save_model, values_of
-from tests.support.extended_models import model_with, plant_motion, run_of
-from tests.support.paths import DEMO_RIG as RIG
-from tests.support.shell import Shell
+from tests.support.extended_models import assert_moves_as_the_plant, model_with, noisy_run, run_of
+from tests.support.shell import Shell, document
 
 SPRING = EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": SPRING_NM, "preload": SPRING_NM * REST_RAD})
 
@@ -33,7 +33,7 @@ def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
     assert back == model
     ((again, values),) = effects_of(back)
     assert type(again) is kind and again.joint == effect.joint
-    np.testing.assert_array_equal(values, size)
+    assert_array_equal(values, size)
     stored = json.loads((tmp_path / "m.json").read_text())["effects"][0]
     assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (
         2 if kind.per_joint or kind.per_motor else None)
@@ -55,12 +55,7 @@ def test_an_encoder_behind_a_loop_is_saved_with_what_the_loop_hears(tmp_path: Pa
 ])
 def test_extended_simulation_is_the_motion_of_a_plant_with_the_effect(name: str, value: EffectValue,
                                                                       tmp_path: Path) -> None:
-    extended = run_of(model_with(value), tmp_path)
-    truth = plant_motion(name, tmp_path)
-    plain = run_of(model_with(), tmp_path)
-    for j, column in enumerate(("q1_rad", "q2_rad")):
-        error, without = (np.sqrt(np.mean((run[column] - truth[:, j]) ** 2)) for run in (extended, plain))
-        assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * without
+    assert_moves_as_the_plant(model_with(value), name, tmp_path)
 
 
 @pytest.mark.parametrize("value, column, difference", [
@@ -72,7 +67,7 @@ def test_a_sensor_effect_changes_its_reading_and_nothing_else(value: EffectValue
                                                               tmp_path: Path) -> None:
     extended, plain = run_of(model_with(value), tmp_path), run_of(model_with(), tmp_path)
     for name, values in plain.items():
-        np.testing.assert_allclose(extended[name] - values, difference if name == column else 0.0, atol=1e-6)
+        assert_allclose(extended[name] - values, difference if name == column else 0.0, atol=1e-6)
 
 
 def test_noise_of_a_simulation_is_that_of_the_model(tmp_path: Path) -> None:
@@ -81,7 +76,7 @@ def test_noise_of_a_simulation_is_that_of_the_model(tmp_path: Path) -> None:
                                   for words in ((), *(("--noise-seed", seed) for seed in "334")))
     left = np.array([noisy[c] - plain[c] for c in ("accel_x_mps2", "accel_y_mps2", "gyro_radps", "q2_rad")])
     assert left[:3].std(axis=1) == pytest.approx([0.05, 0.4, 0.01], rel=0.06) and not left[3].any()
-    np.testing.assert_array_equal(noisy["gyro_radps"], again["gyro_radps"])
+    assert_array_equal(noisy["gyro_radps"], again["gyro_radps"])
     assert not np.array_equal(noisy["gyro_radps"], other["gyro_radps"])
     assert np.corrcoef(left[:3])[0] == pytest.approx([1.0, 0.8, 0.0], abs=0.08)
 
@@ -89,7 +84,7 @@ def test_noise_of_a_simulation_is_that_of_the_model(tmp_path: Path) -> None:
 def test_a_late_imu_shows_what_was(tmp_path: Path) -> None:
     late = EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.01})
     extended, plain = run_of(model_with(late), tmp_path), run_of(model_with(), tmp_path)
-    np.testing.assert_allclose(extended["gyro_radps"][12:-10], plain["gyro_radps"][10:-12], atol=1e-3)
+    assert_allclose(extended["gyro_radps"][12:-10], plain["gyro_radps"][10:-12], atol=1e-3)
 
 
 @pytest.mark.parametrize("value, gains", [
@@ -97,15 +92,11 @@ def test_a_late_imu_shows_what_was(tmp_path: Path) -> None:
     (EffectValue(name="torque_offset", joint=None, sizes={"offset": 0.05}), True),
     (EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.002}), False),  # the motion is the nominal one
 ])
-def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path, shell: Shell) -> None:
-    run_of(model_with(value), tmp_path, "--noise-seed", "3")
-    rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
-    save_model(model_with(), tmp_path / "plain.json")
+def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path) -> None:
+    rig = noisy_run(model_with(value), tmp_path)
     rmse = {}
     for name in ("m", "plain") if gains else ("m",):
-        shell("validate", tmp_path / f"{name}.json", tmp_path / "run.csv", "--rig", rig, "--json", tmp_path / "v.json")
-        (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
+        (run,) = document("validate", tmp_path / f"{name}.json", tmp_path / "run.csv", "--rig", rig)["runs"]
         assert not run["diverged"] and run["horizon_s"] == pytest.approx(8.0, abs=0.1)
         rmse[name] = run["rmse"]
     assert rmse["m"]["q1_rad"] < 0.01 and rmse["m"]["q2_rad"] < 0.03
@@ -134,8 +125,7 @@ def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str,
         load_model(path)
     assert says in str(caught.value) and str(path) in str(caught.value)
     write_plan(random_multisine(5, 6.0, 0.5), tmp_path / "p.csv")
-    shell("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv", status=2)
-    error = shell.err
+    error = shell.fails("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv")
     assert says in error and error.count("\n") == 1 and not (tmp_path / "r.csv").exists()
 
 

@@ -15,10 +15,16 @@ from tests.support.shell import Shell
 from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
+Answers = Callable[..., list[str]]
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "rig.toml"
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
     """Says what is answered; the questions asked are in the list returned."""
     def give(*texts: str) -> list[str]:
         rest, asked = iter(texts), []
@@ -36,8 +42,7 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
     return give
 
 
-def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
+def test_by_asking(path: Path, answers: Answers, shell: Shell) -> None:
     asked = answers("", "", "9.8101", "wide", "0.17", "", "50", "legid", "/dev/ttyUSB3", "0.85", "1000", "-1", "1.5",
                     "12", "", "2.2")
     shell("init", path)
@@ -45,7 +50,7 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: She
     assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
     assert rig.mechanism.gravity_mps2 == 9.8101
     assert rig.imus[0].lever_arm_m == 0.17  # asked twice: `wide` is no number
-    assert rig.devices.imu is not None and rig.devices.imu.bus == "/dev/i2c-1"
+    assert rig.devices.imu.bus == "/dev/i2c-1"
     assert rig.motor.gear_ratio == 50.0
     assert rig.calibration.torque_constant_nm_per_a == 0.85
     assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == ("/dev/ttyUSB3", 1000.0)
@@ -60,9 +65,8 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: She
     assert next(line for line in text.splitlines() if line.startswith("q1_rad")).endswith("ASSUMED, please measure")
 
 
-def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Callable[..., list[str]],
+def test_files_alone_need_no_devices_and_no_limits(path: Path, answers: Answers,
                                                    shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
     asked = answers("", "", "", "0.17", "none", "50", "none")
     shell("init", path)
     rig, text = load_rig(path), path.read_text()
@@ -72,8 +76,7 @@ def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Call
     assert "rig.toml: written. Next: legid import FILE..., then legid fit" in shell.out
 
 
-def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
-    path = tmp_path / "chain.toml"
+def test_a_chain_on_can(path: Path, answers: Answers, shell: Shell) -> None:
     answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "", "")
     shell("init", path)
     rig = load_rig(path)
@@ -83,8 +86,7 @@ def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]], shell
     assert rig.devices.controller.node == 5
 
 
-def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
+def test_a_moteus_by_asking(path: Path, answers: Answers, shell: Shell) -> None:
     answers("", "", "", "0.2", "", "6", "motor", "moteus", "moteus", "/dev/fdcanusb", "3", "0.5", "", "2", "", "", "")
     shell("init", path)
     controller, text, out = load_rig(path).devices.controller, path.read_text(), shell.out
@@ -96,15 +98,14 @@ def test_a_moteus_by_asking(tmp_path: Path, answers: Callable[..., list[str]], s
     assert not {"torque_nm", "gear_ratio", "torque_constant_nm_per_a", "lever_arm_m"} & marked
 
 
-def test_a_single_joint_has_no_second_limit(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
+def test_a_single_joint_has_no_second_limit(path: Path, answers: Answers, shell: Shell) -> None:
     asked = answers("joint1", "", "", "9", "odrive", "can0", "1", "0.4", "", "", "", "")
-    shell("init", tmp_path / "rig.toml")
+    shell("init", path)
     assert not any("second joint" in question for question in asked)
-    assert load_rig(tmp_path / "rig.toml").motor.gear_ratio == 9.0
+    assert load_rig(path).motor.gear_ratio == 9.0
 
 
-def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
+def test_what_exists_is_left_alone(path: Path, answers: Answers, shell: Shell) -> None:
     path.write_text("mine")
     asked = answers()
     for how in ([], ["--defaults"], ["--probe"]):
@@ -114,21 +115,18 @@ def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[s
     assert not asked  # refused before anybody answers anything
 
 
-def test_answers_that_end_early_or_do_not_fit(tmp_path: Path, answers: Callable[..., list[str]], shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
+def test_answers_that_end_early_or_do_not_fit(path: Path, answers: Answers, shell: Shell) -> None:
     answers("leg2", "2")
-    shell("init", path, status=2)
-    assert "end before the questions" in shell.err
+    assert "end before the questions" in shell.fails("init", path)
     answers("", "7", *[""] * 13)  # leg2 has no joint 7
     shell("init", path, status=2)
     assert shell.err.count("\n") == 1
     shell("init", path, "--port /dev/x", status=2)
-    shell("init", tmp_path / "no" / "rig.toml", "--defaults", status=2)
+    shell("init", path.parent / "no" / "rig.toml", "--defaults", status=2)
     assert not path.exists()
 
 
-def test_defaults_are_a_rig(tmp_path: Path, shell: Shell) -> None:
-    path = tmp_path / "rig.toml"
+def test_defaults_are_a_rig(path: Path, shell: Shell) -> None:
     shell("init", path, "--defaults")
     rig = load_rig(path)
     assert rig.devices.imu is not None and rig.devices.controller is not None
@@ -144,7 +142,7 @@ def mock() -> Iterator[tuple[MockRig, str]]:
         yield rig, server.path
 
 
-def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
+def test_by_probing(mock: tuple[MockRig, str], path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     rig_mock, port = mock
     monkeypatch.setattr(discovery, "i2c_buses", lambda: ["/dev/i2c-nowhere", "/dev/i2c-7"])
     monkeypatch.setattr(discovery, "serial_ports", lambda: ["/dev/ttyNowhere", port])
@@ -153,7 +151,6 @@ def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pyte
     for module in ("rig.discovery", "rig.devices", "doctor.bus"):
         monkeypatch.setattr(f"experiments.{module}.open_bus",
                             lambda path: rig_mock.imu if path == "/dev/i2c-7" else real(path))
-    path = tmp_path / "rig.toml"
     shell("init", path, "--probe")
     out = shell.out
     assert "no such bus" in out and "no such port" in out and "LSM9DS1 at 0x6A" in out
@@ -164,7 +161,7 @@ def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pyte
     assert rig_mock.firmware.drive.torque_nm == 0.0
     monkeypatch.setattr(preflight, "LISTEN_S", 0.5)
     path.write_text(path.read_text().replace("rate_hz = 238.0", "rate_hz = 59.5 ").replace("0.005 ", "5.0 "))
-    shell("doctor --rig", path, "--out", tmp_path)
+    shell("doctor --rig", path, "--out", path.parent)
 
 
 def test_probing_where_there_is_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:

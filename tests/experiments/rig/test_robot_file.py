@@ -1,7 +1,5 @@
 """`legid init --from`: files that legid itself exports come back as they were; others are refused with a remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +7,11 @@ import pytest
 
 from daq import load_rig
 from estimator.model import leg2, rigid_parameters
-from experiments.cli.main import main
 from experiments.models import load_model
 from experiments.simulators import export_model, read_robot
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import Leg
+from tests.support.shell import Shell, typed
 
 BETA = Leg().beta().tolist()
 
@@ -23,7 +21,7 @@ def test_the_bodies_of_an_exported_leg_make_its_parameters(kind: str, tmp_path: 
     model = load_model(write_model(tmp_path / "m.json", BETA, LEG))
     source = tmp_path / f"leg.{kind}"
     source.write_text(export_model(model, kind, "m.json")[0])
-    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(source)]) == 0
+    typed("init", tmp_path / "rig.toml", "--from", source)
     rig = load_rig(tmp_path / "rig.toml")
     assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
     bodies = {name: entry[0] for name, entry in rig.prior.items()}
@@ -32,7 +30,7 @@ def test_the_bodies_of_an_exported_leg_make_its_parameters(kind: str, tmp_path: 
     assert all(std == pytest.approx(0.05 * abs(value), rel=0.05) for value, std in rig.prior.values())
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize("text, told", [
     ("<robot", "is not XML"), ("<sdf/>", "begins with <sdf>"), ("<robot/>", "has no hinge"),
     ("<!DOCTYPE x><robot/>", "declares entities"),
     ('<mujoco><worldbody><body name="a"><joint/></body></worldbody></mujoco>', "MuJoCo cannot read it"),
@@ -45,11 +43,10 @@ def test_the_bodies_of_an_exported_leg_make_its_parameters(kind: str, tmp_path: 
     ('<mujoco><worldbody><body name="a"><joint/><geom size="1"/><body name="b"><joint axis="1 0 0"/><geom size="1"/>'
      '</body></body></worldbody></mujoco>', "turns b about another axis than a")])
 def test_what_cannot_be_read_is_one_line(text: str, told: str, tmp_path: Path,
-                                         capsys: pytest.CaptureFixture[str]) -> None:
+                                         shell: Shell) -> None:
     source = tmp_path / "robot.xml"
     source.write_text(text)
-    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(source)]) == 2
-    said = capsys.readouterr().err
+    said = shell.fails("init", tmp_path / "rig.toml", "--from", source)
     assert told in said and said.count("\n") == 1 and not (tmp_path / "rig.toml").exists()
 
 
@@ -67,5 +64,5 @@ def test_rotations_defaults_and_shapes_are_compiled(tmp_path: Path) -> None:
     assert (thigh.driven, shank.driven, shank.viscous, shank.armature) == (False, True, 0.02, 0.003)
     assert shank.mass == pytest.approx(0.6) and np.abs(shank.at) == pytest.approx([0, 0, 0.3], abs=1e-12)
     assert shank.centre == pytest.approx([0, 0, -(0.5 * 0.125 + 0.1 * 0.25) / 0.6])
-    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(source)]) == 0
+    typed("init", tmp_path / "rig.toml", "--from", source)
     assert load_rig(tmp_path / "rig.toml").prior["l1"][0] == pytest.approx(0.3)

@@ -1,19 +1,16 @@
 """What rig.toml is silent about is chosen by the records, and only what they ask for."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from daq.rig import parse_rig
-from experiments.cli import main
 from experiments.session.choices import choose_terms, with_choices
 from experiments.workflows.fit import fit_runs
 from tests.support.paths import REAL, needs_records
 from tests.support.prescribed import ARM_RIG, BETA, arm_run
+from tests.support.shell import document
 
 ARMS = {"dfki_c0": (["00", "01", "02", "03", "04", "05", "06"], [0.05354, 0.05328, 0.03623, 0.24113, 0.18117]),
         "dfki_a0": (["00", "01", "02", "03", "12"], [0.11116, 0.02346, 0.03332, 0.34912, 0.11106])}
@@ -50,13 +47,11 @@ def test_an_offset_in_a_single_run() -> None:
 def test_real_arms_without_a_specialist(arm: str, tmp_path: Path) -> None:
     """Mechanism, joints, gear and gravity in rig.toml, one command, no option: within 9 % of what is published."""
     runs, published = ARMS[arm]
-    rig, out = tmp_path / "rig.toml", tmp_path / "fit.json"
+    rig = tmp_path / "rig.toml"
     rig.write_text(ARM_RIG + "gravity_mps2 = 9.81\n[motor]\ngear_ratio = 6.0\n")
-    assert main(["fit", *(str(REAL / arm / f"{run}.csv.gz") for run in runs), "--rig", str(rig),
-                 "--json", str(out)]) == 0
-    document = json.loads(out.read_text())
-    found = [p["value"] for p in document["parameters"][:5]]
+    told = document("fit", *(REAL / arm / f"{run}.csv.gz" for run in runs), "--rig", rig)
+    found = [p["value"] for p in told["parameters"][:5]]
     # 0.085 and 0.067; as a fit was with nothing chosen, 0.154 and 0.154
     assert np.max(np.abs(np.array(found) / published - 1.0)) < 0.09
-    assert {c["key"] for c in document["chosen"]} >= {"rotor_inertia", "encoder_zero", "encoder_rad"}
-    assert not document["remedies"]
+    assert {c["key"] for c in told["chosen"]} >= {"rotor_inertia", "encoder_zero", "encoder_rad"}
+    assert not told["remedies"]

@@ -1,7 +1,5 @@
 """The age of an IMU by its settings in rig.toml, against a plant whose IMU has a low pass and arrives late."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ def runs_of(age_s: float, count: int = 2) -> tuple[Leg, list[Dataset]]:
     return leg, [record(leg, rng, timing, name=f"run{k}") for k in range(count)]
 
 
-@pytest.mark.parametrize(("settings", "least_s", "most_s"), [
+@pytest.mark.parametrize("settings, least_s, most_s", [
     (f"cutoff_hz = {CUTOFF_HZ}\n", 1.0 / (2.0 * np.pi * CUTOFF_HZ), np.sqrt(2.0) / (2.0 * np.pi * CUTOFF_HZ)),
     (f'odr_hz = {ODR_HZ}\nstamped = "arrival"\n', 0.5 / ODR_HZ, 1.0 / ODR_HZ),
     (f'odr_hz = {ODR_HZ}\nstamped = "sample"\n', 0.0, 0.0)])
@@ -72,7 +70,7 @@ def test_a_fit_finds_the_rest_of_the_age_within_the_tolerance_of_the_settings() 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("age_s", "beyond_s"), [(0.003, None), (0.011, 0.0072)])
+@pytest.mark.parametrize("age_s, beyond_s", [(0.003, None), (0.011, 0.0072)])
 def test_a_diagnosis_names_what_is_beyond_the_nominal_age_alone(age_s: float, beyond_s: float | None) -> None:
     leg, runs = runs_of(age_s, 4)
     some = [run.part(slice(0, 1000)) for run in runs]

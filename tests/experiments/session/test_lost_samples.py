@@ -10,12 +10,13 @@ from daq import Dataset, FloatArray
 from daq.rig import parse_rig
 from daq.runs.csv_run import RawTable
 from daq.timing.resample import align_table
-from experiments.cli import main
 from experiments.session.lost_samples import with_lost_samples
 from experiments.session.setup import setup_of
 from experiments.workflows import fit_runs
 from tests.support.driven_pendulum import pendulum_run
+from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, record
+from tests.support.shell import Shell
 
 IMU = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
 ENCODERS = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
@@ -43,8 +44,8 @@ def corrected(data: Dataset, rig: str) -> Dataset:
     return found
 
 
-@pytest.mark.parametrize(("rig", "columns"), [(IMU, ("q2_rad",)), (ENCODERS, ("q2_rad",)), (ENCODERS, ("tau2_nm",))])
-@pytest.mark.parametrize(("row", "count"), [(900, 4), (1300, -3)])
+@pytest.mark.parametrize("rig, columns", [(IMU, ("q2_rad",)), (ENCODERS, ("q2_rad",)), (ENCODERS, ("tau2_nm",))])
+@pytest.mark.parametrize("row, count", [(900, 4), (1300, -3)])
 def test_lost_samples_are_named_and_moved_back(rig: str, columns: tuple[str, ...], row: int, count: int) -> None:
     right, wrong = leg(3, rig, columns, row, count)
     found = corrected(wrong, rig)
@@ -75,20 +76,18 @@ def test_a_constant_delay_is_no_loss(count: int) -> None:
     assert corrected(late, ENCODERS).readings == ()
 
 
-def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, shell: Shell) -> None:
     run = pendulum_run("r", 4)
-    half = len(run) // 2
-    columns = [run.time_s, run["q1_rad"], lose(run["tau1_nm"], half, 4)]
-    np.savetxt(tmp_path / "r.csv", np.column_stack(columns), delimiter=",", comments="", header="time_s,q1_rad,tau1_nm")
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
-    assert main(["fit", str(tmp_path / "r.csv"), "--rig", str(tmp_path / "rig.toml")]) == 0
-    said = capsys.readouterr().out
+    shell("fit", table_of(run, tmp_path / "r.csv", tau1_nm=lose(run["tau1_nm"], len(run) // 2, 4)), "--rig",
+          tmp_path / "rig.toml")
+    said = shell.out
     assert "against the other columns at about" in said
     beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])
     assert beta1 == pytest.approx(0.05, rel=0.1)
 
 
-@pytest.mark.parametrize(("columns", "count"), [(("q2_rad",), 17), (("q2_rad",), 29), (("tau2_nm",), -14)])
+@pytest.mark.parametrize("columns, count", [(("q2_rad",), 17), (("q2_rad",), 29), (("tau2_nm",), -14)])
 def test_many_lost_samples_are_named_and_not_the_motion(columns: tuple[str, ...], count: int) -> None:
     right, wrong = leg(4, ENCODERS, columns, 1000, count)
     faults = corrected(wrong, ENCODERS).readings
@@ -96,7 +95,7 @@ def test_many_lost_samples_are_named_and_not_the_motion(columns: tuple[str, ...]
     assert abs(faults[0].rows[0][0] - 1000) < 50 and corrected(right, ENCODERS).readings == ()
 
 
-@pytest.mark.parametrize(("times", "seed"), [(2, 3), (4, 4), (6, 5)])
+@pytest.mark.parametrize("times, seed", [(2, 3), (4, 4), (6, 5)])
 def test_an_imu_that_repeats_its_readings_is_named(times: int, seed: int) -> None:
     """Noise levels that the rig file declares made it a lack of excitation."""
     right, _ = leg(seed, IMU)

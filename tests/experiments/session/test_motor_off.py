@@ -1,7 +1,5 @@
 """A servo that is switched off: its terminals are open, so that its back-EMF does not brake as at 0 V."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -17,7 +15,7 @@ TRUE = R / K * np.array([INERTIA, MOMENT, VISCOUS + K**2 / R, COULOMB])
 """Parameters in volts, back-EMF in the viscous one"""
 
 
-def recorded(seed: int, seconds: float = 8.0, step: float = 1e-3, every: int = 10) -> Dataset:
+def recorded(seed: int, seconds: float = 8.0, step: float = 1e-3) -> Dataset:
     """A pendulum on a motor that is off for two seconds from 3 s on, where the register of its duty is 0."""
     rng = np.random.default_rng(seed)
     phases, count = rng.uniform(0.0, 6.0, 3), int(seconds / step)
@@ -26,7 +24,7 @@ def recorded(seed: int, seconds: float = 8.0, step: float = 1e-3, every: int = 1
         t = k * step
         on = not 3.0 <= t < 5.0
         duty = 0.25 * sum(math.sin(2.0 * math.pi * f * t + p) for f, p in zip((0.4, 0.9, 1.7), phases)) if on else 0.0
-        if k % every == 0:
+        if k % 10 == 0:
             rows.append((t, q, duty, VOLTS, float(on)))
         torque = K / R * (duty * VOLTS - K * v) if on else 0.0
         v += step / INERTIA * (torque - MOMENT * 9.81 * math.sin(q) - VISCOUS * v - COULOMB * math.tanh(v / 0.01))
@@ -34,7 +32,7 @@ def recorded(seed: int, seconds: float = 8.0, step: float = 1e-3, every: int = 1
     time, angle, *others = np.array(rows).T
     angle = angle + rng.normal(0.0, 4e-4, angle.size)
     columns = dict(zip(("q1_rad", "duty", "volts", "torque_enable"), (angle, *others)))
-    return Dataset(f"run{seed}", 1.0 / (every * step), time, columns)
+    return Dataset(f"run{seed}", 1.0 / (10 * step), time, columns)
 
 
 def without_column(run: Dataset) -> Dataset:

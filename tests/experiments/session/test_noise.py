@@ -1,7 +1,5 @@
 """Levels of `[noise]`: for all encoders or for each, and what a joint without a motor may lack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -18,18 +18,20 @@ from experiments.session.flags import contradictions, require_one_rig
 from experiments.session.runs import load_runs
 from experiments.workflows.fit import fit_runs
 from tests.support.fits import document_of, synthetic_fit
+from tests.support.imported_files import table
 from tests.support.paths import FIXTURES
 from tests.support.prescribed import ARM_RIG, arm_run, negated, written
 
 VOLTS = '[mechanism]\nmodel = "joint1"\nactuated = [1]\ninput = "voltage"\n'
 
 
-def stuck(run: Dataset) -> Dataset:
-    return replace(run, name="bad.csv", columns={**run.columns, "q2_rad": np.full(len(run), 0.3)})
+def three_and_a_stuck_one() -> list[Dataset]:
+    *runs, bad = (arm_run(k, seconds=6.0) for k in (0, 1, 2, 7))
+    return [*runs, replace(bad, name="bad.csv", columns={**bad.columns, "q2_rad": np.full(len(bad), 0.3)})]
 
 
 def test_files_and_data_sets_are_prepared_alike(tmp_path: Path) -> None:
-    runs = [*(arm_run(k, seconds=6.0) for k in range(3)), stuck(arm_run(7, seconds=6.0))]
+    runs = three_and_a_stuck_one()
     rig = parse_rig(ARM_RIG)
     by_file = prepare(written(runs, tmp_path), rig, choose=True)
     by_data = prepare(load_runs(written(runs, tmp_path), rig), rig, choose=True)
@@ -57,27 +59,20 @@ def test_what_a_run_was_recorded_on_is_held_against_the_rig_in_use() -> None:
 
 def test_a_voltage_is_called_so_and_read_again(tmp_path: Path) -> None:
     time = np.arange(60) / 100.0
-    rows = "\n".join(f"{t},{0.1 * np.sin(t)},0.5,8.0" for t in time.tolist())
-    (tmp_path / "duty.csv").write_text(f"time_s,q1_rad,duty,volts\n{rows}\n")
+    angle = {"time_s": time, "q1_rad": 0.1 * np.sin(time)}
     rig = parse_rig(VOLTS)
-    (run,) = load_runs([tmp_path / "duty.csv"], rig)
+    (run,) = load_runs([table(tmp_path / "duty.csv", angle | {"duty": 0.5 + 0 * time, "volts": 8.0 + 0 * time})], rig)
     assert np.array_equal(run["voltage1_v"], np.full(60, 4.0)) and "tau1_nm" not in run
-    (tmp_path / "volts.csv").write_text("time_s,q1_rad,voltage1_v\n" + "\n".join(
-        f"{t},{0.1 * np.sin(t)},4.0" for t in time.tolist()) + "\n")
-    assert np.array_equal(load_runs([tmp_path / "volts.csv"], rig)[0]["voltage1_v"], run["voltage1_v"])
+    (again,) = load_runs([table(tmp_path / "volts.csv", angle | {"voltage1_v": 4.0 + 0 * time})], rig)
+    assert np.array_equal(again["voltage1_v"], run["voltage1_v"])
     with pytest.raises(InputError, match="duty is missing"):
-        read_csv_without(tmp_path)
-    twice = prepare([run], parse_rig(VOLTS)).setup.datasets[0]
+        read_csv(table(tmp_path / "none.csv", angle), rig)
+    twice = prepare([run], rig).setup.datasets[0]
     assert np.array_equal(twice["voltage1_v"], run["voltage1_v"])
 
 
-def read_csv_without(folder: Path) -> None:
-    (folder / "none.csv").write_text("time_s,q1_rad\n" + "\n".join(f"{k / 100.0},0.0" for k in range(60)) + "\n")
-    read_csv(folder / "none.csv", parse_rig(VOLTS))
-
-
 def test_findings_of_a_fit_have_their_kind_and_stand_in_its_document() -> None:
-    runs = [*(arm_run(k, seconds=6.0) for k in range(3)), stuck(arm_run(7, seconds=6.0))]
+    runs = three_and_a_stuck_one()
     fitted = fit_runs(runs, parse_rig(ARM_RIG))
     kinds = [one.kind for one in fitted.result.findings]
     assert kinds[0] == "run_set_aside" and fitted.result.warnings[0] == str(fitted.aside[0])

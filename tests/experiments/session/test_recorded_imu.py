@@ -1,7 +1,5 @@
 """The age of an IMU as the recorder states it: an emulated chip behind its low passes, recorded and fitted."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -53,7 +51,7 @@ def skew_s(found: legid.FitResult) -> float:
 
 def test_gyro_and_accelerometer_are_moved_each_by_its_own_age(rig: Rig, runs: list[Dataset]) -> None:
     raw = runs[0]
-    assert raw.imu is not None and raw.imu.ages is not None
+    assert raw.imu.ages is not None
     assert (raw.imu.cutoff_hz, raw.imu.odr_hz, raw.imu.stamped) == ((GYRO_HZ, ACCEL_HZ), 238.0, "sample")
     setup = prepare([raw], rig).setup
     (moved,) = setup.datasets
@@ -71,13 +69,13 @@ def test_the_rig_file_goes_before_the_recorder(runs: list[Dataset]) -> None:
     stated = parse_rig(TEXT.replace("[imu]", '[imu]\ncutoff_hz = 50.0\nstamped = "sample"'))
     setup = prepare(runs[:1], stated).setup
     (age, _) = stated.imus[0].ages or (None, None)
-    assert age is not None and setup.datasets[0].imu_age_s == age.mean_s
+    assert setup.datasets[0].imu_age_s == age.mean_s
     assert setup.tolerances is not None and setup.tolerances["sensor_time_skew"] == (age.std_s,)
     with pytest.raises(InputError, match="cutoff_hz has 3 numbers"):
         parse_rig(TEXT.replace("[imu]", "[imu]\ncutoff_hz = [50.0, 50.0, 50.0]"))
 
 
-@pytest.mark.parametrize(("cutoff_hz", "fault"), [
+@pytest.mark.parametrize("cutoff_hz, fault", [
     ("[76.0, -1.0]", "settings of its IMU that cannot be"), ("[76.0]", "cutoff_hz has 1 numbers")])
 def test_a_run_with_settings_that_no_chip_has_is_refused(rig: Rig, recorded: list[RawRun], cutoff_hz: str, fault: str
                                                          ) -> None:
@@ -94,7 +92,7 @@ def test_a_run_of_an_earlier_version_states_no_age(rig: Rig, recorded: list[RawR
 
 def test_a_fit_has_the_age_inside_its_interval_and_agrees_with_one_that_is_not_told(rig: Rig, runs: list[Dataset]
                                                                                     ) -> None:
-    assert runs[0].imu is not None and runs[0].imu.ages is not None
+    assert runs[0].imu.ages is not None
     nominal, _ = runs[0].imu.ages
     told = legid.fit(runs, rig)
     # what a file of another program is: neither the low passes nor any clock is known

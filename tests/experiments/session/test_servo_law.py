@@ -1,8 +1,5 @@
 """Runs of a servo that says what it was commanded and not what it gave: MuJoCo's leg, through `legid fit` as typed."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +11,13 @@ import legid
 from daq import Dataset, InputError
 from daq.rig import parse_rig
 from daq.runs.csv_run import write_csv
-from evidence.servos import Hidden, draw, record
-from experiments.cli import main
+from evidence.servos import Drawn, Hidden, draw, record
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow
+from tests.support.shell import Shell, document
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
 RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
@@ -31,16 +28,20 @@ def leg() -> Leg:
     return replace(random_leg(np.random.default_rng(51)), viscous=(0.01, 0.02), coulomb=(0.01, 0.03))
 
 
-def fitted(folder: Path, runs: list[Dataset], servo: str, *options: str) -> dict[str, Any]:
-    """The document of a fit under this [servo]."""
+def fitted(folder: Path, runs: list[Dataset], servo: str, fixed: Leg | None = None) -> dict[str, Any]:
+    """The document of a fit under this [servo], with beta5 of a leg given."""
     (folder / "rig.toml").write_text(RIG + servo)
     paths = [folder / f"{run.name}.csv" for run in runs]
     for run, path in zip(runs, paths):
         write_csv(run, path)
-    out = folder / "fit.json"
-    assert main(["fit", *map(str, paths), "--rig", str(folder / "rig.toml"), *options, "--json", str(out)]) == 0
-    told: dict[str, Any] = json.loads(out.read_text())
-    return told
+    options = [] if fixed is None else ["--fix", f"beta5={fixed.beta()[4]}"]
+    return document("fit", *paths, "--rig", folder / "rig.toml", *options)
+
+
+def followed(leg: Leg, seed: int, count: int = 3, **law: Any) -> list[Dataset]:
+    """Runs of its knee by a law with GAIN."""
+    rng = np.random.default_rng(seed)
+    return [follow(leg, rng, gain=GAIN, name=f"run{k}", **law) for k in range(count)]
 
 
 def values(told: dict[str, Any]) -> np.ndarray:
@@ -48,8 +49,7 @@ def values(told: dict[str, Any]) -> np.ndarray:
 
 
 def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, leg: Leg) -> None:
-    rng = np.random.default_rng(52)
-    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, limit=LIMIT, name=f"run{k}") for k in range(3)]
+    runs = followed(leg, 52, damping=DAMPING, limit=LIMIT)
     error = runs[0]["q2_cmd_rad"] - runs[0]["q2_rad"]
     lost = np.abs(GAIN * error - DAMPING * np.gradient(runs[0]["q2_rad"], 0.01)) > LIMIT
     assert 0.05 < np.mean(lost) < 0.6  # the limit is met
@@ -60,9 +60,8 @@ def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, le
 
 
 def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg) -> None:
-    rng = np.random.default_rng(53)
-    runs = [follow(leg, rng, gain=GAIN, name=f"run{k}") for k in range(2)]
-    told = fitted(tmp_path, runs, "", "--fix", f"beta5={leg.beta()[4]}")
+    runs = followed(leg, 53, 2)
+    told = fitted(tmp_path, runs, "", leg)
     low, high = told["servo_gain"]["ci95"]
     assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
@@ -77,10 +76,8 @@ def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg
 
 @pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\ndamping = {DAMPING}\n", False), ("", True)])
 def test_a_delay_that_nobody_states_is_found_and_taken_off(tmp_path: Path, leg: Leg, servo: str, fix: bool) -> None:
-    rng = np.random.default_rng(55)
-    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, faults=ServoFaults(delay_s=0.012), name=f"late{k}")
-            for k in range(3)]
-    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    runs = followed(leg, 55, damping=DAMPING, faults=ServoFaults(delay_s=0.012))
+    told = fitted(tmp_path, runs, servo, leg if fix else None)
     (chosen,) = (c for c in told["chosen"] if c["key"] == "delay_s")
     assert chosen["table"] == "servo" and chosen["value"] == pytest.approx(0.0122, abs=5e-4)
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.01)
@@ -91,13 +88,11 @@ def loop_of(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {one["key"]: one for one in told["loop"]}
 
 
-@pytest.mark.parametrize(("servo", "fix"), [(f"gain = {GAIN}\n", False), ("", True)])
+@pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\n", False), ("", True)])
 def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp_path: Path, leg: Leg, servo: str,
                                                                             fix: bool) -> None:
-    rng = np.random.default_rng(55)
-    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, limit=LIMIT, faults=ServoFaults(delay_s=0.008, integral=2.0),
-                   name=f"own{k}") for k in range(3)]
-    told = fitted(tmp_path, runs, servo, *(["--fix", f"beta5={leg.beta()[4]}"] if fix else []))
+    runs = followed(leg, 55, damping=DAMPING, limit=LIMIT, faults=ServoFaults(delay_s=0.008, integral=2.0))
+    told = fitted(tmp_path, runs, servo, leg if fix else None)
     found = loop_of(told)
     for key, truth, close in (("limit", LIMIT, 0.01), ("damping", DAMPING, 0.02), ("integral", 2.0, 0.01)):
         low, high = found[key]["ci95"]
@@ -108,23 +103,28 @@ def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp
     assert values(told)[6] == pytest.approx(leg.beta()[6], abs=0.003)  # without the loop's damping
 
 
+def loop_found(seed: int, **fault: float) -> tuple[Drawn, dict[str, dict[str, Any]]]:
+    """A leg of this seed under this fault, and what a fit finds of its loop."""
+    drawn = draw(seed)
+    runs = record(drawn, seed, Hidden("none", lambda s: ServoFaults(**fault)), drawn.delay_s)
+    rig = parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")
+    return drawn, loop_of(legid.fit(runs, rig).document)
+
+
 def test_a_limit_that_few_runs_meet_is_found_and_is_as_open_as_the_damping() -> None:
     """Two of eight runs meet it. Without the loop's damping it is larger: its interval says so, and the delay is right.
     """
-    drawn, limit = draw(9300), 1.115
-    runs = record(drawn, 9300, Hidden("none", lambda s: ServoFaults(limit=limit)), drawn.delay_s)
-    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
+    drawn, found = loop_found(9300, limit=1.115)
     assert found["delay_s"]["value"] == pytest.approx(drawn.late_s, abs=3e-4)  # 14.3 for 19 ms without a limit
     low, high = found["limit"]["ci95"]
-    assert found["limit"]["found"] and low < limit < high
+    assert found["limit"]["found"] and low < 1.115 < high
 
 
 def test_a_limit_is_found_where_the_loop_damps_much() -> None:
     """The friction of the joint takes the loop's damping up: a share of the torque with it would always fall."""
-    drawn, limit = draw(9606), 0.6222
-    runs = record(drawn, 9606, Hidden("none", lambda s: ServoFaults(limit=limit)), drawn.delay_s)
-    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
-    for key, true, close in (("limit", limit, 0.01), ("damping", drawn.damping, 0.02), ("delay_s", drawn.late_s, 0.01)):
+    drawn, found = loop_found(9606, limit=0.6222)
+    for key, true, close in (("limit", 0.6222, 0.01), ("damping", drawn.damping, 0.02),
+                             ("delay_s", drawn.late_s, 0.01)):
         assert found[key]["found"] and found[key]["value"] == pytest.approx(true, rel=close)
 
 
@@ -141,15 +141,12 @@ def test_what_an_encoder_misreads_is_no_noise_of_the_torque_that_the_law_makes()
 @pytest.mark.slow
 def test_a_wrong_encoder_is_tried_in_place_of_a_disturbance() -> None:
     """Behind a loop it has a shape; the integral that nobody states is what the disturbance was."""
-    drawn, integral = draw(19418), 3.275
-    runs = record(drawn, 19418, Hidden("none", lambda s: ServoFaults(integral=integral)), drawn.delay_s)
-    found = loop_of(legid.fit(runs, parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")).document)
-    assert found["integral"]["found"] and found["integral"]["value"] == pytest.approx(integral, rel=0.02)
+    _, found = loop_found(19418, integral=3.275)
+    assert found["integral"]["found"] and found["integral"]["value"] == pytest.approx(3.275, rel=0.02)
 
 
 def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -> None:
-    rng = np.random.default_rng(57)
-    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, name=f"plain{k}") for k in range(3)]
+    runs = followed(leg, 57, damping=DAMPING)
     told = fitted(tmp_path, runs, f"gain = {GAIN}\n")
     found, said = loop_of(told), " ".join(told["assumptions"])
     low, high = found["integral"]["ci95"]
@@ -164,9 +161,7 @@ def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -
 
 
 def test_filters_of_rate_and_command_are_taken_into_account(tmp_path: Path, leg: Leg) -> None:
-    rng = np.random.default_rng(58)
-    runs = [follow(leg, rng, gain=GAIN, damping=0.4, faults=ServoFaults(velocity_filter_s=0.01, command_filter_s=0.02),
-                   name=f"slow{k}") for k in range(3)]
+    runs = followed(leg, 58, damping=0.4, faults=ServoFaults(velocity_filter_s=0.01, command_filter_s=0.02))
     law = f"gain = {GAIN}\ndamping = 0.4\nintegral = 0.0\nlimit = 20.0\ndelay_s = 0.0\n"
     known = fitted(tmp_path, runs, f"{law}velocity_filter_s = 0.01\ncommand_filter_s = 0.02\n")
     assert values(known)[:5] == pytest.approx(leg.beta()[:5], rel=0.02)
@@ -182,37 +177,28 @@ def test_a_filter_of_the_rate_that_is_uncertain_widens_the_inertia() -> None:
 
 
 @pytest.mark.slow
-def test_a_diagnosis_under_the_command_names_a_late_command(leg: Leg) -> None:
-    runs = [follow(leg, np.random.default_rng([56, k]), gain=GAIN, damping=DAMPING, seconds=8.0,
-                   high=(2.2, 1.0, 1.6)[k % 3], faults=ServoFaults(delay_s=0.02), name=f"r{k}") for k in range(6)]
-    rig = parse_rig(f"{RIG}gain = {GAIN}\ndamping = {DAMPING}\n")
-    found = legid.diagnose(runs, rig, workers=1)
-    (cause,) = found.causes
-    assert (found.verdict, cause.effect, cause.joint) == ("named", "command_delay", 2)
-    assert cause.size[0].value == pytest.approx(0.02, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("faults", "scale", "where"), [
-    (ServoFaults(log_scale=0.04), 0.04, "the loop hears the true angle"),
-    (ServoFaults(encoder_scale=-0.2), -0.2, "the loop hears it")], ids=["in the log", "at the encoder"])
-def test_a_wrong_scale_is_named_with_the_place_where_it_is_wrong(leg: Leg, faults: ServoFaults, scale: float,
-                                                                 where: str) -> None:
-    runs = [follow(leg, np.random.default_rng([67, k]), gain=GAIN, damping=DAMPING, seconds=8.0,
+@pytest.mark.parametrize("seed, faults, effect, size, where", [
+    (56, ServoFaults(delay_s=0.02), "command_delay", 0.02, ""),
+    (67, ServoFaults(log_scale=0.04), "encoder_scale", 0.04, "the loop hears the true angle"),
+    (67, ServoFaults(encoder_scale=-0.2), "encoder_scale", -0.2, "the loop hears it")],
+    ids=["late command", "in the log", "at the encoder"])
+def test_a_diagnosis_under_the_command_names_the_cause_and_its_place(leg: Leg, seed: int, faults: ServoFaults,
+                                                                     effect: str, size: float, where: str) -> None:
+    runs = [follow(leg, np.random.default_rng([seed, k]), gain=GAIN, damping=DAMPING, seconds=8.0,
                    high=(2.2, 1.0, 1.6)[k % 3], faults=faults, name=f"r{k}") for k in range(6)]
     found = legid.diagnose(runs, parse_rig(f"{RIG}gain = {GAIN}\ndamping = {DAMPING}\n"), workers=1)
     (cause,) = found.causes
-    assert (found.verdict, cause.effect, cause.joint) == ("named", "encoder_scale", 2)
-    assert cause.size[0].value == pytest.approx(scale, rel=0.1)
+    assert (found.verdict, cause.effect, cause.joint) == ("named", effect, 2)
+    assert cause.size[0].value == pytest.approx(size, rel=0.1)
     assert where in found.text()
 
 
-def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, shell: Shell) -> None:
     run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
     (tmp_path / "rig.toml").write_text(RIG)
     write_csv(run, tmp_path / "run.csv")
-    assert main(["fit", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]) == 1
-    assert "give it as gain under [servo], or give one parameter" in capsys.readouterr().err
+    said = shell.fails("fit", tmp_path / "run.csv", "--rig", tmp_path / "rig.toml", status=1)
+    assert "give it as gain under [servo], or give one parameter" in said
     bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):

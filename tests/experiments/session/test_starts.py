@@ -1,7 +1,5 @@
 """Starts of records in which the mechanism is not alone are left out with a line; all others stay."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -14,6 +12,7 @@ from tests.support.motions import pendulum
 from tests.support.servo_joint import servo_run
 
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = {}\n'
+FREE, DRIVEN = JOINT.format([]), JOINT.format([1])
 
 
 def swing(hold_s: float, start: float, rate_hz: float, friction: tuple[float, float]) -> Dataset:
@@ -37,10 +36,10 @@ def braked(hold_s: float) -> Dataset:
                                            "tau1_nm": torque})
 
 
-@pytest.mark.parametrize(("run", "rig", "fixed", "hold_s"), [
-    (swing(2.0, 1.1, 100.0, (0.3, 0.2)), JOINT.format([]), {"beta2": 0.08}, 2.0),
-    (swing(4.3, 0.5, 50.0, (0.2, 0.1)), JOINT.format([]), {"beta2": 0.08}, 4.3),
-    (braked(1.6), JOINT.format([1]), {}, 1.6)], ids=["a hand", "a longer hand", "a brake"])
+@pytest.mark.parametrize("run, rig, fixed, hold_s", [
+    (swing(2.0, 1.1, 100.0, (0.3, 0.2)), FREE, {"beta2": 0.08}, 2.0),
+    (swing(4.3, 0.5, 50.0, (0.2, 0.1)), FREE, {"beta2": 0.08}, 4.3),
+    (braked(1.6), DRIVEN, {}, 1.6)], ids=["a hand", "a longer hand", "a brake"])
 def test_a_start_that_the_mechanism_cannot_explain_is_left_out(
         run: Dataset, rig: str, fixed: dict[str, float], hold_s: float) -> None:
     (found,) = prepare([run], parse_rig(rig), fixed=fixed).setup.datasets
@@ -54,14 +53,14 @@ def test_a_start_that_the_mechanism_cannot_explain_is_left_out(
     assert not as_read.gap().any() and [one.what for one in as_read.readings] == ["start"]
 
 
-@pytest.mark.parametrize(("run", "rig", "fixed"), [
-    (swing(0.0, 2.4, 100.0, (0.3, 0.2)), JOINT.format([]), {"beta2": 0.08}),
-    (swing(0.0, 0.4, 30.0, (0.8, 0.4)), JOINT.format([]), {"beta2": 0.08}),
-    (pendulum_run("r", 4), JOINT.format([1]), {}), (pendulum_run("r", 5, drag=0.02), JOINT.format([1]), {}),
-    (servo_run(), JOINT.format([1]) + "[servo]\ngain = 4.0\ndamping = 0.1\nlimit = 100.0\n", {}),
+@pytest.mark.parametrize("run, rig, fixed", [
+    (swing(0.0, 2.4, 100.0, (0.3, 0.2)), FREE, {"beta2": 0.08}),
+    (swing(0.0, 0.4, 30.0, (0.8, 0.4)), FREE, {"beta2": 0.08}),
+    (pendulum_run("r", 4), DRIVEN, {}), (pendulum_run("r", 5, drag=0.02), DRIVEN, {}),
+    (servo_run(), DRIVEN + "[servo]\ngain = 4.0\ndamping = 0.1\nlimit = 100.0\n", {}),
     (Dataset("rest", 50.0, np.arange(600) / 50.0, {
         name: np.append(np.full(300, x[0]), x) for name, x in pendulum_run("r", 6).columns.items()}),
-     JOINT.format([1]), {})], ids=["a wide swing", "a short swing", "driven", "with drag", "a servo", "rest first"])
+     DRIVEN, {})], ids=["a wide swing", "a short swing", "driven", "with drag", "a servo", "rest first"])
 def test_a_start_that_the_mechanism_can_make_stays(run: Dataset, rig: str, fixed: dict[str, float]) -> None:
     (found,) = prepare([run], parse_rig(rig), fixed=fixed).setup.datasets
     assert not [fault for fault in found.readings if fault.what == "start"]

@@ -1,8 +1,6 @@
 """Remedies of a set-up that looks wrong: a unit is named where it explains the torque, and nothing is where columns are
 right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from daq.dataset import Dataset
 from estimator.model.mechanism import joint1
 from experiments.cli import main
 from tests.support.prescribed import SWING_RIG, swing_run, written
+from tests.support.shell import Shell
 
 DEGREES, TURNS = 180.0 / np.pi, 0.5 / np.pi
 
@@ -44,56 +43,56 @@ def geared_run() -> Dataset:
     return with_torque(run, run["tau1_nm"] + more)
 
 
-def fit_of(runs: list[Dataset], folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+def fit_of(runs: list[Dataset], folder: Path, shell: Shell) -> tuple[int, str]:
     """Exit status of `legid fit` and all that it says."""
     rig = folder / "rig.toml"
     rig.write_text(SWING_RIG)
     status = main(["fit", *written(runs, folder), "--rig", str(rig)])
-    return status, "".join(capsys.readouterr())
+    return status, "".join(shell.read())
 
 
-def test_a_geared_joint_is_told_of_its_rotor_and_of_no_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, said = fit_of([geared_run()], tmp_path, capsys)
+def test_a_geared_joint_is_told_of_its_rotor_and_of_no_unit(tmp_path: Path, shell: Shell) -> None:
+    status, said = fit_of([geared_run()], tmp_path, shell)
     assert status == 0 and "beta1 over beta2 makes a length of 1" in said and "the motor's rotor" in said
     assert "looks" not in said and "NOT TO BE USED" not in said
 
 
-@pytest.mark.parametrize(("turns_on", "factor", "unit"), [
+@pytest.mark.parametrize("turns_on, factor, unit", [
     (True, DEGREES, "deg"), (True, TURNS, "turn"), (False, DEGREES, "deg")])
 def test_a_unit_that_explains_the_torque_is_named(turns_on: bool, factor: float, unit: str, tmp_path: Path,
-                                                  capsys: pytest.CaptureFixture[str]) -> None:
+                                                  shell: Shell) -> None:
     run = turning_run() if turns_on else swing_run(viscous=0.02, coulomb=0.05, seconds=10.0)
-    _, said = fit_of([scaled(run, factor)], tmp_path, capsys)
+    _, said = fit_of([scaled(run, factor)], tmp_path, shell)
     assert f'name = "q1_rad" and unit = "{unit}" under [columns.q1_rad]' in said
 
 
-def test_a_joint_that_turned_on_is_not_asked_for_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_joint_that_turned_on_is_not_asked_for_its_unit(tmp_path: Path, shell: Shell) -> None:
     run = turning_run()
     unexplained = with_torque(replace(run, name="noise.csv"), np.random.default_rng(3).normal(size=len(run)))
     for one in (run, unexplained):
-        _, said = fit_of([one], tmp_path, capsys)
+        _, said = fit_of([one], tmp_path, shell)
         assert "q1_rad swings" not in said and "unit = " not in said and "the columns cannot be right" not in said
 
 
 def test_an_angle_that_swings_too_far_in_any_unit_is_to_be_checked(tmp_path: Path,
-                                                                   capsys: pytest.CaptureFixture[str]) -> None:
+                                                                   shell: Shell) -> None:
     run = scaled(swing_run(viscous=0.02, seconds=10.0), 4096 * TURNS)
     unexplained = with_torque(run, np.random.default_rng(3).normal(size=len(run)))
-    status, said = fit_of([unexplained], tmp_path, capsys)
+    status, said = fit_of([unexplained], tmp_path, shell)
     assert status == 1 and "q1_rad swings over" in said and "check that it is the angle of this joint" in said
     assert "give its unit" not in said
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_columns_that_are_right_are_not_to_be_checked(count: int, tmp_path: Path,
-                                                      capsys: pytest.CaptureFixture[str]) -> None:
+                                                      shell: Shell) -> None:
     """A motor that pushes along with every acceleration: no sign and no unit makes a mechanism of that."""
     runs = []
     for k in range(count):
         run = replace(swing_run(viscous=0.2, coulomb=0.2, seed=3 + k), name=f"swing{k}.csv")
         pushed = -0.2 * np.gradient(np.gradient(run["q1_rad"], 0.01), 0.01)
         runs.append(with_torque(run, run["tau1_nm"] + pushed))
-    status, said = fit_of(runs, tmp_path, capsys)
+    status, said = fit_of(runs, tmp_path, shell)
     last = said.strip().splitlines()[-1]
     assert status == 1 and "no masses move like this" in last and "with --fix NAME=VALUE" in last
     assert "looks" not in last and ("--each" in last) == (count == 2)

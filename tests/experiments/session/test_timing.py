@@ -1,9 +1,8 @@
 """What a rig file states of its times, against a plant with times of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import legid
 from daq import parse_rig
@@ -20,10 +19,10 @@ def test_a_stated_delay_moves_whole_samples_exactly() -> None:
     run = record(random_leg(rng), rng, Timing(200), seconds=2.0)
     late = with_delay(run, 0.010)
     assert np.isnan(late["tau2_nm"][:2]).all()
-    np.testing.assert_allclose(late["tau2_nm"][2:], run["tau2_nm"][:-2], atol=1e-9)
+    assert_allclose(late["tau2_nm"][2:], run["tau2_nm"][:-2], atol=1e-9)
     early = with_delay(run, -0.005)
-    np.testing.assert_allclose(early["tau2_nm"][:-1], run["tau2_nm"][1:], atol=1e-9)
-    np.testing.assert_array_equal(late["q2_rad"], run["q2_rad"])
+    assert_allclose(early["tau2_nm"][:-1], run["tau2_nm"][1:], atol=1e-9)
+    assert_array_equal(late["q2_rad"], run["q2_rad"])
 
 
 def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
@@ -33,13 +32,13 @@ def test_a_stated_delay_is_applied_once_and_explains_the_runs() -> None:
     rig = parse_rig(RIG + "[timing]\ntorque_delay_s = [0.007, 0.0005]\n")
     prepared = prepare(runs, rig)
     again = prepare(prepared.setup.datasets, rig)
-    np.testing.assert_array_equal(again.setup.datasets[0]["tau2_nm"], prepared.setup.datasets[0]["tau2_nm"])
+    assert_array_equal(again.setup.datasets[0]["tau2_nm"], prepared.setup.datasets[0]["tau2_nm"])
     found = legid.fit(runs, rig)
     assert found.beta[:5] == pytest.approx(leg.beta()[:5], rel=1e-2)
     assert not any(one.effect == "torque_delay" for one in found.estimate.omitted)
 
 
-@pytest.mark.parametrize(("period_s", "hold"), [
+@pytest.mark.parametrize("period_s, hold", [
     (0.005, "zero"), (0.010, "zero"), (0.001, "zero/5"), (0.0025, "zero/2"), (0.0001, "smooth")])
 def test_a_stated_control_period_is_the_hold(period_s: float, hold: str) -> None:
     rng = np.random.default_rng(3)

@@ -1,8 +1,5 @@
 """A run that no fit can use is set aside by name, with the reason, and the rest goes on."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +11,9 @@ from daq.runs import RawTable
 from daq.timing.resample import align_table
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.cli import main
 from experiments.session.usable import usable_runs
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, negated, written
+from tests.support.shell import Shell, document
 
 GOOD = [arm_run(k, seconds=6.0) for k in range(4)]
 
@@ -41,7 +38,7 @@ def stranger(run: Dataset) -> Dataset:
     return arm_run(99, seconds=6.0, beta=BETA * np.array([1, 8, 1, 0.1, 5, 1, 1, 1, 1]))
 
 
-@pytest.mark.parametrize(("spoil", "why"), [
+@pytest.mark.parametrize("spoil, why", [
     (locked, "joint 2 never moves"), (torn, "no segment of 20 samples"), (stuck, "tau1_nm never changes"),
     (stranger, "of another rig"), (lambda run: negated(run, "tau2_nm"), "of another rig"),
     (lambda run: with_column(run, "q1_rad", np.degrees(run["q1_rad"])), "of another rig")])
@@ -59,19 +56,17 @@ def test_good_runs_and_a_single_one_are_kept() -> None:
     assert not usable_runs([*GOOD, quiet[0]][:3], leg2(actuated=(0, 1)), FitOptions(sensors="encoder"))[1]
 
 
-def test_fit_and_validate_go_on_without_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_and_validate_go_on_without_it(tmp_path: Path, shell: Shell) -> None:
     runs = written([*GOOD, replace(locked(arm_run(8, seconds=6.0)), name="bad.csv")], tmp_path)
-    rig, model, out = (tmp_path / name for name in ("rig.toml", "model.json", "out.json"))
+    rig, model = tmp_path / "rig.toml", tmp_path / "model.json"
     rig.write_text(ARM_RIG)
-    assert main(["fit", *runs, "--rig", str(rig), "--json", str(out), "--model-out", str(model)]) == 0
-    assert "warning: bad.csv is set aside: joint 2 never moves" in capsys.readouterr().out
-    document = json.loads(out.read_text())
-    assert [a["run"] for a in document["set_aside"]] == ["bad.csv"]
-    assert np.allclose([p["value"] for p in document["parameters"][:5]], BETA[:5], rtol=0.03)
-    out = tmp_path / "validation.json"
-    assert main(["validate", str(model), *runs[3:], "--rig", str(rig), "--json", str(out)]) == 0
-    assert "bad.csv is set aside" in capsys.readouterr().err
-    assert {r["run"] for r in json.loads(out.read_text())["runs"]} == {"run3.csv"}
+    found = document("fit", *runs, "--rig", rig, "--model-out", model)
+    assert "warning: bad.csv is set aside: joint 2 never moves" in shell.out
+    assert [a["run"] for a in found["set_aside"]] == ["bad.csv"]
+    assert np.allclose([p["value"] for p in found["parameters"][:5]], BETA[:5], rtol=0.03)
+    found = document("validate", model, *runs[3:], "--rig", rig)
+    assert "bad.csv is set aside" in shell.err
+    assert {r["run"] for r in found["runs"]} == {"run3.csv"}
 
 
 def test_a_pause_shorter_than_the_grids_step_is_no_hole() -> None:

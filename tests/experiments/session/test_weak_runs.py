@@ -2,14 +2,13 @@
 
 import json
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from daq.rig import parse_rig
 from estimator.fitting import next_measurement
 from estimator.fitting.next_measurement import INSTRUMENTS
@@ -17,20 +16,22 @@ from experiments.cli import main
 from experiments.session.setup import Setup, setup_of
 from experiments.session.suspicion import suspect
 from tests.support.fits import synthetic_fit
+from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.shell import Shell
 
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 IMU = LEG + "[imu]\nlever_arm_m = 0.2\n"
 
 
-def one_sine(seed: int, frequency_hz: float, amplitude: float, noise: float, sign: float = 1.0) -> Dataset:
+def one_sine(seed: int, frequency_hz: float, amplitude: float, noise: float) -> Dataset:
     """A pendulum of 0.05 kg m^2 and 0.12 kg m that follows one sine."""
     rng = np.random.default_rng(seed)
     t, w = np.arange(0.0, 20.0, 0.01), 2.0 * np.pi * frequency_hz
     phase = float(rng.uniform(0.0, 6.0))
     q, v = amplitude * np.sin(w * t + phase), amplitude * w * np.cos(w * t + phase)
-    torque = sign * (-0.05 * w**2 * q + 0.12 * 9.81 * np.sin(q) + 0.02 * v + 0.01 * np.tanh(v / 0.02))
+    torque = 1.0 * (-0.05 * w**2 * q + 0.12 * 9.81 * np.sin(q) + 0.02 * v + 0.01 * np.tanh(v / 0.02))
     return Dataset("sine", 100.0, t, {"q1_rad": q + rng.normal(0.0, noise, t.size),
                                       "tau1_nm": torque + rng.normal(0.0, 0.03, t.size)})
 
@@ -40,7 +41,7 @@ def told(setup: Setup) -> tuple[str, ...]:
     return (*found.remedies, *found.against)
 
 
-@pytest.mark.parametrize(("frequency_hz", "amplitude", "noise"), [(0.8, 0.3, 2e-4), (2.0, 0.1, 1e-3)])
+@pytest.mark.parametrize("frequency_hz, amplitude, noise", [(0.8, 0.3, 2e-4), (2.0, 0.1, 1e-3)])
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 7])
 def test_one_sine_says_nothing_of_signs(frequency_hz: float, amplitude: float, noise: float, seed: int) -> None:
     assert told(setup_of([one_sine(seed, frequency_hz, amplitude, noise)], parse_rig(JOINT))) == ()
@@ -62,19 +63,14 @@ def test_a_sign_that_is_wrong_is_still_named() -> None:
     assert told(setup_of([replace(run, columns=columns)], parse_rig(LEG)))[0].startswith("tau2_nm looks negated")
 
 
-def written(path: Path, time_s: FloatArray, columns: Mapping[str, FloatArray]) -> Path:
-    np.savetxt(path, np.column_stack([time_s, *columns.values()]), delimiter=",", comments="",
-               header=",".join(["time_s", *columns]))
-    return path
-
-
-def test_a_fit_of_little_motion_asks_for_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_of_little_motion_asks_for_motion(tmp_path: Path, shell: Shell) -> None:
     """It ended as "a mass that is not positive", with segments that disagree by numbers of ninety digits."""
     run = record(Leg(), np.random.default_rng(4), seconds=10.0, amplitude=0.08, high=1.0)
-    file = written(tmp_path / "weak.csv", run.time_s, {name: x for name, x in run.columns.items() if name != "q1_rad"})
+    seen = {name: x for name, x in run.columns.items() if name != "q1_rad"}
+    file = table_of(replace(run, columns=seen), tmp_path / "weak.csv")
     (tmp_path / "rig.toml").write_text(IMU)
     status = main(["fit", str(file), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")])
-    said = capsys.readouterr()
+    said = shell.read()
     document = json.loads((tmp_path / "f.json").read_text())
     first = said.out.splitlines()[0]
     assert "not positive" not in said.out and "negated" not in said.out + said.err
@@ -91,7 +87,7 @@ def test_no_value_is_to_be_measured_finer_than_an_instrument_measures(share: flo
                     covariance=share**2 * (result.covariance + np.outer(shared, shared)))
     advice = next_measurement(small)
     if share == 1.0:
-        assert advice is not None and not advice.source
+        assert not advice.source
         units = {p.name: p.unit for p in result.mechanism.parameters}
         assert advice.std >= INSTRUMENTS[units.get(advice.name, "m")]
     else:

@@ -1,9 +1,6 @@
 """A joint that hangs elsewhere than at 0: its zero is estimated where gravity shows it, and asked for elsewhere."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +31,7 @@ def off(data: Dataset, zero: float) -> Dataset:
     return replace(data, columns={name: x + zero if name.startswith("q1") else x for name, x in data.columns.items()})
 
 
-MADE: dict[str, tuple[Callable[[], Dataset], str, dict[str, float], float]] = {
+MADE = {
     "a free swing": (free_swing, JOINT.format([]), {"beta2": 0.05}, -0.12),
     "a driven joint": (lambda: pendulum_run("r", 3), JOINT.format([1]), {}, 0.06),
     "a servo": (servo_run, SERVO.format(GAIN), {}, 0.08)}

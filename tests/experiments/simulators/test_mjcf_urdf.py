@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from msgspec import structs
+from numpy.testing import assert_allclose
 
 import legid
 from daq import load_rig
@@ -19,7 +20,7 @@ from experiments.models import EffectValue, known_effects, load_model, save_mode
 from tests.support.exported_models import EFFECTS
 from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
-from tests.support.shell import Shell
+from tests.support.shell import Shell, typed
 
 RATE_HZ = 500.0
 SECONDS = 4.0
@@ -31,7 +32,7 @@ def leg_beta(leg: Leg, viscous: float = 1.0, coulomb: float = 0.0) -> list[float
 
 def export(folder: Path, kind: str, model: Path) -> Path:
     out = folder / f"model.{kind}"
-    assert main(["export", str(model), "--to", kind, "--out", str(out)]) == 0
+    typed("export", model, "--to", kind, "--out", out)
     return out
 
 
@@ -78,14 +79,14 @@ def followed(folder: Path, model: Path, start: list[float], peak: float = 1.0, s
     own = simulate(model, start, peak, seconds)
     angles, readings = drive(loaded, own[torque], 0, start, by_ctrl=True)
     true = np.column_stack([own[name] for name in ("q1_rad", "q1_m", "q2_rad") if name in own])
-    np.testing.assert_allclose(angles, true, rtol=0, atol=atol)
+    assert_allclose(angles, true, rtol=0, atol=atol)
     if imu:
         true = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
-        np.testing.assert_allclose(readings, true, rtol=0, atol=1e-4)
+        assert_allclose(readings, true, rtol=0, atol=1e-4)
     return angles
 
 
-@pytest.mark.parametrize(("viscous", "peak"), [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
+@pytest.mark.parametrize("viscous, peak", [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_mjcf_moves_as_the_simulation_does(seed: int, viscous: float, peak: float, tmp_path: Path) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), viscous), LEG)
@@ -106,12 +107,12 @@ def extend(path: Path, name: str, sizes: Mapping[str, float], joint: int | None)
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_mjcf_holds_effects(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mjcf_holds_effects(name: str, tmp_path: Path, shell: Shell) -> None:
     """Five seconds under the torque as it was measured: angles, and the IMU's readings."""
     model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(1))), LEG)
     extend(model, name, EFFECTS[name].sizes, EFFECTS[name].joint)
     followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-7, "tau2_nm", imu=True)
-    assert "left out" not in capsys.readouterr().err
+    assert "left out" not in shell.err
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -121,14 +122,14 @@ def test_mjcf_rubs_as_the_simulation_does(seed: int, tmp_path: Path) -> None:
     assert np.ptp(followed(tmp_path, model, [0.4, -0.3], 0.4, 5.0, 1e-3), axis=0).min() > 0.5
 
 
-def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, shell: Shell) -> None:
     model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
     for name, sizes, joint, kind in (("gyro_bias", {"bias": 0.01}, None, "mjcf"),
                                      ("joint_stiffness", {"stiffness": -0.1, "preload": 0.0}, 2, "urdf"),
                                      ("quadratic_drag", {"drag": 0.01}, 2, "urdf")):
         export(tmp_path, kind, extend(write_model(model, leg_beta(Leg()), LEG), name, sizes, joint))
         assert f"{kind.upper()} cannot hold these effects of the model, they are left out: {name}" in \
-            capsys.readouterr().err
+            shell.err
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -142,7 +143,7 @@ def test_other_bodies_move_alike(seed: int, tmp_path: Path) -> None:
     torque = np.sin(5 * t) + 0.5 * np.sin(11 * t + 1)
     (found, _), (true, _) = (drive(m, torque, 1, [0.4, -0.3], by_ctrl=False) for m in (exported, own))
     assert np.abs(true).max() > 2 * np.pi
-    np.testing.assert_allclose(found, true, rtol=0, atol=1e-8)
+    assert_allclose(found, true, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -152,7 +153,7 @@ def test_urdf_moves_alike(seed: int, tmp_path: Path) -> None:
     loaded.opt.integrator, loaded.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
     own = simulate(model, [0.4, -0.3])
     angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=False)
-    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+    assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
 
 
 def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
@@ -165,18 +166,18 @@ def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
     assert min(m1, m2, i1, i2) > 0
     assert l1 == pytest.approx(leg.l1)
     found = [i1 + m1 * c1**2 + m2 * l1**2, i2 + m2 * c2**2, m2 * l1 * c2, m1 * c1 + m2 * l1, m2 * c2]
-    np.testing.assert_allclose(found, beta[:5], rtol=1e-9)
-    np.testing.assert_allclose(loaded.dof_damping, beta[5:7])
-    np.testing.assert_allclose(loaded.dof_frictionloss, beta[7:9])
+    assert_allclose(found, beta[:5], rtol=1e-9)
+    assert_allclose(loaded.dof_damping, beta[5:7])
+    assert_allclose(loaded.dof_frictionloss, beta[7:9])
 
 
-def test_rotor_and_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rotor_and_offset(tmp_path: Path, shell: Shell) -> None:
     beta = [*leg_beta(Leg()), 0.01, 0.15]
     model = write_model(tmp_path / "m.json", beta, {**LEG, "rotor_inertia": (2,), "torque_offset": (2,)})
     followed(tmp_path, model, [0.0, 0.0])
-    capsys.readouterr()
+    shell.read()
     export(tmp_path, "urdf", model)
-    notes = capsys.readouterr().err
+    notes = shell.err
     assert "no rotor inertia: 0.01" in notes and "no torque offset: 0.15" in notes
 
 
@@ -191,25 +192,24 @@ def test_one_joint_and_a_chain(tmp_path: Path) -> None:
     assert load(tmp_path, "mjcf", chain).nq == 2
 
 
-def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_format_cannot_hold_is_said(tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg(), coulomb=1.0)
     beta[5] = -0.003
     model = write_model(tmp_path / "m.json", beta, LEG)
     loaded = load(tmp_path, "mjcf", model)
     assert loaded.dof_damping[0] == 0.0
-    notes = capsys.readouterr().err
+    notes = shell.err
     assert "viscous friction of pivot is -0.003" in notes and "frictionloss" in notes
 
 
-@pytest.mark.parametrize(("changes", "words"), [
+@pytest.mark.parametrize("changes, words", [
     ({2: 1.0}, "not positive definite"), ({4: -0.1}, "no length"), ({4: 0.0}, "no length")])
 def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path, shell: Shell) -> None:
     beta = leg_beta(Leg())
     for k, value in changes.items():
         beta[k] = value
     model = write_model(tmp_path / "m.json", beta, LEG)
-    shell("export", model, "--to mjcf --out", tmp_path / "x.xml", status=2)
-    error = shell.err
+    error = shell.fails("export", model, "--to mjcf --out", tmp_path / "x.xml")
     assert words in error and error.count("\n") == 1
     assert not (tmp_path / "x.xml").exists()
 
@@ -218,7 +218,7 @@ def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, shell: Sh
     biped = write_model(tmp_path / "b.json", [1.0] * 8, {"model": "biped3", "actuated": (2, 3)})
     servo = write_model(tmp_path / "v.json", [1.0] * 4, {"model": "joint1", "actuated": (1,), "input": "voltage"})
     leg = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
-    for model, more in ((biped, []), (servo, []), (leg, ["--rate", "100"])):
+    for model, more in ((biped, []), (servo, []), (leg, ["--rate 100"])):
         shell("export", model, "--to urdf --out", tmp_path / "x.urdf", *more, status=2)
     errors = shell.err.splitlines()
     assert len(errors) == 3

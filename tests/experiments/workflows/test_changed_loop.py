@@ -1,7 +1,5 @@
 """A loop whose readings change: by earlier runs and by their MODEL.json the same is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,9 +32,9 @@ def before() -> list[Dataset]:
 
 
 @pytest.fixture(scope="module")
-def model(before: list[Dataset], tmp_path_factory: pytest.TempPathFactory) -> Model:
+def model(before: list[Dataset], module_path: Path) -> Model:
     """As it comes from its file."""
-    return written(before, RIG, tmp_path_factory.mktemp("model") / "model.json")
+    return written(before, RIG, module_path / "model.json")
 
 
 def written(runs: list[Dataset], rig: Rig, path: Path) -> Model:
@@ -48,7 +46,7 @@ def written(runs: list[Dataset], rig: Rig, path: Path) -> Model:
 
 
 def test_a_model_says_of_a_loop_what_its_runs_say(before: list[Dataset], model: Model) -> None:
-    assert model.reference is not None and {one.effect for one in model.reference.law} >= {"encoder_scale"}
+    assert {one.effect for one in model.reference.law} >= {"encoder_scale"}
     scaled = [measured(f"b{k}", 10 + k, SCALE) for k in range(2)]
     answers = [find_change(scaled, before, RIG).change, find_change_since(scaled, model, "model.json", RIG).change]
     for found in answers:

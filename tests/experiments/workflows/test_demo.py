@@ -12,18 +12,17 @@ from experiments import cli
 from experiments.excite import random_multisine
 from experiments.models import load_model
 from tests.support.pages import allowed_script
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demo(module_path: Path) -> Path:
     """What a demo of four short runs leaves behind, and `said.txt` for what it printed."""
-    out = tmp_path_factory.mktemp("demo")
-    args = ["demo", "--out", str(out), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
+    args = ["demo", "--out", str(module_path), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
     with redirect_stdout(StringIO()) as said:
         assert cli.main(args) == 0, said.getvalue()
-    (out / "said.txt").write_text(said.getvalue())
-    return out
+    (module_path / "said.txt").write_text(said.getvalue())
+    return module_path
 
 
 @pytest.mark.slow
@@ -75,15 +74,13 @@ def test_report_tells_what_was_hidden(demo: Path) -> None:
 @pytest.mark.slow
 def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, shell: Shell) -> None:
     model, page = tmp_path / "m.json", tmp_path / "v.html"
-    args = ["fit", str(demo / "demo-run1.mcap"), "--rig", str(demo / "rig.toml"), "--model-out", str(model),
-            "--json", str(tmp_path / "f.json"), "--html", str(tmp_path / "f.html"), "--fix", "beta9=0.04"]
-    shell(*args)
+    found = document("fit", demo / "demo-run1.mcap", "--rig", demo / "rig.toml", "--model-out", model, "--html",
+                     tmp_path / "f.html", "--fix beta9=0.04")
     assert "given" in shell.out
-    rows = {p["name"]: p for p in json.loads((tmp_path / "f.json").read_text())["parameters"]}
+    rows = {p["name"]: p for p in found["parameters"]}
     assert rows["beta9"]["value"] == 0.04 and rows["beta9"]["fixed"]
-    shell("validate", model, demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--json", tmp_path / "v.json",
-          "--html", page)
-    assert json.loads((tmp_path / "v.json").read_text())["schema"] == "legid.validation/1"
+    found = document("validate", model, demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--html", page)
+    assert found["schema"] == "legid.validation/1"
     assert "demo-run3.mcap" in page.read_text()
 
 

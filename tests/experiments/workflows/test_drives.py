@@ -1,7 +1,5 @@
 """The tutorial on each emulated drive: record, look, fit, play back; and, slow, the hidden spring."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from importlib.resources import files
@@ -16,7 +14,7 @@ from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 KINDS = ("moteus", "odrive", "dynamixel")
 
@@ -36,9 +34,7 @@ def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp
     assert "samples lie between request and answer" in said and "jitters by" in said
     data = load_any_run(run, parse_rig(rig.read_text()))
     assert data.clock_bound_s is not None and 2e-4 < data.clock_bound_s < 2e-3
-    shell("fit", run, "--rig", rig, "--json", tmp_path / "fit.json")
-    found = json.loads((tmp_path / "fit.json").read_text())
-    value = np.array([p["value"] for p in found["parameters"]])
+    value = np.array([p["value"] for p in document("fit", run, "--rig", rig)["parameters"]])
     assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.01
     again = tmp_path / "again.mcap"
     shell("record --replay", run, "--out", again)
@@ -48,32 +44,29 @@ def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp
     assert played.clock_bound_s == data.clock_bound_s
 
 
+def words(folder: Path, text: str, *more: str) -> tuple[object, ...]:
+    """A command that records a plan under this rig file."""
+    (folder / "rig.toml").write_text(text)
+    write_plan(random_multisine(7, 5.0, 0.6), folder / "plan.csv")
+    return "record --rig", folder / "rig.toml", "--plan", folder / "plan.csv", "--out", folder / "r.mcap", *more
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_check_that_it_cannot_make_is_to_be_given_up_by_name(kind: str, tmp_path: Path, shell: Shell) -> None:
-    rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
-    rig.write_text("\n".join(line for line in rig_text(kind).splitlines() if not line.startswith("unchecked")))
-    write_plan(random_multisine(7, 5.0, 0.6), plan)
-    shell("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=2)
+    text = "\n".join(line for line in rig_text(kind).splitlines() if not line.startswith("unchecked"))
+    shell(*words(tmp_path, text, "--emulate"), status=2)
     assert 'unchecked = ["encoder_s"]' in shell.err
 
 
 def test_a_drive_that_is_only_read_records_no_plan(tmp_path: Path, shell: Shell) -> None:
-    rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
-    rig.write_text(rig_text("feetech"))
-    write_plan(random_multisine(7, 5.0, 0.6), plan)
-    shell("record --rig", rig, "--plan", plan, "--out", tmp_path / "r.mcap", "--emulate", status=1)
-    assert "has no watchdog, so a lost host would leave the torque on" in shell.err
+    said = shell.fails(*words(tmp_path, rig_text("feetech"), "--emulate"), status=1)
+    assert "has no watchdog, so a lost host would leave the torque on" in said
 
 
 def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path: Path, shell: Shell) -> None:
-    rig, plan = tmp_path / "rig.toml", tmp_path / "plan.csv"
-    rig.write_text(rig_text("moteus").replace("/dev/ttyACM0", str(tmp_path / "no-port")))
-    write_plan(random_multisine(7, 5.0, 0.6), plan)
-    record = ["record", "--rig", str(rig), "--plan", str(plan), "--out", str(tmp_path / "r.mcap")]
-    shell(*record, status=2)
-    assert "--estop-at-hand" in shell.err
-    shell(*record, "--estop-at-hand", status=1)
-    assert "no such port" in shell.err
+    record = words(tmp_path, rig_text("moteus").replace("/dev/ttyACM0", str(tmp_path / "no-port")))
+    assert "--estop-at-hand" in shell.fails(*record)
+    assert "no such port" in shell.fails(*record, "--estop-at-hand", status=1)
 
 
 def test_the_question_is_answered_by_yes_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,5 @@
 """Executors: local processes, and a real Dask scheduler whose worker is killed half way."""
 
-import json
 import os
 import signal
 import subprocess
@@ -23,7 +22,7 @@ from studies.biped3.study import run_block
 from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 pytestmark = REAL_CLOCK
 
@@ -84,7 +83,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     info = tmp_path / "scheduler.json"
-    running: list[subprocess.Popen] = []
+    running = []
 
     def launch(*arguments: str) -> None:
         running.append(subprocess.Popen([sys.executable, "-m", *arguments], env=environment, cwd=tmp_path,
@@ -112,7 +111,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
 def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[subprocess.Popen]]) -> None:
     address, processes = cluster
     pieces = list(range(40))
-    found: dict[int, int] = {}
+    found = {}
     for index, result in ClusterExecutor(address).run(slow_square, pieces):
         found[index] = result
         if len(found) == 12:
@@ -153,15 +152,12 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
 
 @pytest.mark.slow
 def test_sessions_are_compared_on_a_cluster_as_in_one_process(cluster: tuple[str, list[subprocess.Popen]],
-                                                              tmp_path: Path, shell: Shell) -> None:
+                                                              tmp_path: Path) -> None:
     """Three sessions; the torque of the last one is late."""
     files, rig = leg_runs(tmp_path, MAKERS["torque_delay"][0](1.0))
-    first, same, other = ([str(f) for f in files[k: k + 2]] for k in (0, 2, 4))
-    found = []
-    for where in (["--cluster", cluster[0]], ["--workers", "1"]):
-        out = tmp_path / f"{where[0]}.json"
-        shell("compare", *first, "--with", *same, "--with", *other, "--rig", rig, *where, "--json", out)
-        found.append([pair | {"wall_s": 0.0} for pair in json.loads(out.read_text())["pairs"]])
+    words = "compare", *files[:2], "--with", *files[2:4], "--with", *files[4:6], "--rig", rig
+    found = [[pair | {"wall_s": 0.0} for pair in document(*words, where)["pairs"]]
+             for where in (f"--cluster {cluster[0]}", "--workers 1")]
     assert found[0] == found[1]
     assert [pair["b"]["name"] for pair in found[0]] == ["B", "C"]
     assert "torque_delay" in {cause["effect"] for cause in found[0][1]["causes"]}

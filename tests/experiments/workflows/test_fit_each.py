@@ -1,6 +1,5 @@
 """`legid fit --each`: every run alone, in order, on local processes."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from daq.runs import write_csv
 from tests.support.mujoco_leg import Leg, record
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 RIG = """
 [mechanism]
@@ -20,26 +19,21 @@ lever_arm_m = 0.2
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
-    folder = tmp_path_factory.mktemp("runs")
-    rig = folder / "rig.toml"
+def runs(module_path: Path) -> tuple[Path, list[Path]]:
+    rig = module_path / "rig.toml"
     rig.write_text(RIG)
     paths = []
     for k in range(3):
-        paths.append(folder / f"r{k}.csv")
+        paths.append(module_path / f"r{k}.csv")
         write_csv(record(Leg(), np.random.default_rng(k), seconds=6.0), paths[-1])
     return rig, paths
 
 
-def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
+def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], shell: Shell) -> None:
     rig, paths = runs
-    js = tmp_path / "fits.json"
-    shell("fit --each", *paths, "--rig", rig, "--workers 2 --json", js)
-    fits = json.loads(js.read_text())["fits"]
+    fits = document("fit --each", *paths, "--rig", rig, "--workers 2")["fits"]
     assert [Path(fit["run"]).name for fit in fits] == ["r0.csv", "r1.csv", "r2.csv"]
-    single = tmp_path / "one.json"
-    shell("fit", paths[1], "--rig", rig, "--json", single)
-    alone = json.loads(single.read_text())["parameters"]
+    alone = document("fit", paths[1], "--rig", rig)["parameters"]
     np.testing.assert_allclose([p["value"] for p in fits[1]["parameters"]], [p["value"] for p in alone], rtol=1e-9)
     assert "r2.csv" in shell.out
 
@@ -55,6 +49,4 @@ def test_one_bad_file_does_not_stop_the_others(runs: tuple[Path, list[Path]], tm
 
 def test_each_makes_no_model(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
     rig, paths = runs
-    arguments = ["fit", "--each", str(paths[0]), "--rig", str(rig), "--model-out", str(tmp_path / "m.json")]
-    shell(*arguments, status=2)
-    assert "--each" in shell.err
+    assert "--each" in shell.fails("fit --each", paths[0], "--rig", rig, "--model-out", tmp_path / "m.json")

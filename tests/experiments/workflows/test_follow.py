@@ -1,7 +1,5 @@
 """`legid simulate --rig`: a model behind its loop follows a plan as MuJoCo's leg followed it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -53,7 +51,7 @@ def test_what_is_lacking_is_named(tmp_path: Path, run: Dataset) -> None:
         follow_commands(model, tmp_path / "plan.csv", parse_rig(RIG.split("[servo]")[0]), "m.json")
 
 
-@pytest.mark.parametrize(("std_s", "said"), [(0.001, "act 12 ms late, +-2 ms"), (4e55, "do not show how late")])
+@pytest.mark.parametrize("std_s, said", [(0.001, "act 12 ms late, +-2 ms"), (4e55, "do not show how late")])
 def test_a_delay_that_the_runs_do_not_show_has_no_interval_of_years(std_s: float, said: str) -> None:
     servo = parse_rig(RIG).servo
     result: Any = SimpleNamespace(mechanism=leg2(), loop=(LoopTerm("delay_s", 1, 0.012, std_s),), trajectories=())

@@ -1,10 +1,8 @@
 """Runs without a torque: swings of MuJoCo's leg, through the commands as they are typed."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +10,10 @@ import pytest
 from daq.runs import write_csv
 from estimator import FitOptions, fit
 from estimator.model import leg2
-from experiments.cli import main
 from experiments.judge import friction_shares
 from tests.support.free_swing import swing
 from tests.support.mujoco_leg import Leg, random_leg
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 STARTS = ((1.0, 0.5), (-0.8, 1.2), (0.6, -1.5), (1.3, -0.4))
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = {}\n'
@@ -27,23 +24,22 @@ def leg() -> Leg:
     return replace(random_leg(np.random.default_rng(77)), viscous=(0.002, 0.0015), coulomb=(0.01, 0.004))
 
 
-def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2) -> list[str]:
+def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2, seed: int = 78,
+          quadratic: float = 0.0) -> list[Any]:
     """Swings as CSV files, and the arguments that name them and their rig."""
-    rng = np.random.default_rng(78)
+    rng = np.random.default_rng(seed)
     (folder / "rig.toml").write_text(RIG.format(actuated))
     paths = [folder / f"swing{k}.csv" for k in range(count)]
     for path, start in zip(paths, STARTS):
-        run = swing(leg, rng, start, torque=torque)
-        write_csv(run, path)
-    return [*map(str, paths), "--rig", str(folder / "rig.toml")]
+        write_csv(swing(leg, rng, start, quadratic=quadratic, torque=torque), path)
+    return [*paths, "--rig", folder / "rig.toml"]
 
 
-@pytest.mark.parametrize(("actuated", "torque"), [("[2]", True), ("[]", True), ("[]", False)])
+@pytest.mark.parametrize("actuated, torque", [("[2]", True), ("[]", True), ("[]", False)])
 def test_with_one_parameter_given_the_others_follow(tmp_path: Path, leg: Leg, actuated: str, torque: bool,
                                                     shell: Shell) -> None:
     runs, beta = files(tmp_path, leg, actuated, torque), leg.beta()
-    shell("fit", *runs, "--fix", f"beta5={beta[4]}", "--json", tmp_path / "fit.json")
-    told = json.loads((tmp_path / "fit.json").read_text())
+    told = document("fit", *runs, "--fix", f"beta5={beta[4]}")
     found = np.array([p["value"] for p in told["parameters"]])
     assert found[:5] == pytest.approx(beta[:5], rel=2e-3)
     assert found[5:] == pytest.approx(beta[5:], rel=0.03)
@@ -67,26 +63,19 @@ def test_no_share_is_told_where_a_fit_finds_no_friction(leg: Leg) -> None:
     assert one.joint == 1
 
 
-def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]
+def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, shell: Shell
                                                      ) -> None:
     runs = files(tmp_path, leg, "[2]", True, 1)
     for command in ("fit", "diagnose"):
-        assert main([command, *runs, "--quiet"] if command == "diagnose" else [command, *runs]) == 1
-        told = capsys.readouterr().err.strip().splitlines()[-1]
+        shell(command, *runs, *["--quiet"] * (command == "diagnose"), status=1)
+        told = shell.err.strip().splitlines()[-1]
         assert "give one, e.g. --fix beta5=VALUE (m2*lc2 [kg m])" in told
 
 
 @pytest.mark.slow
-def test_a_drag_with_the_square_of_speed_is_told_from_the_other_forms(tmp_path: Path, leg: Leg, shell: Shell) -> None:
-    rng, paths = np.random.default_rng(79), []
-    (tmp_path / "rig.toml").write_text(RIG.format("[]"))
-    for k, start in enumerate(STARTS):
-        run = swing(leg, rng, start, quadratic=0.004, torque=False)
-        paths.append(str(tmp_path / f"swing{k}.csv"))
-        write_csv(run, tmp_path / f"swing{k}.csv")
-    shell("diagnose", *paths, "--rig", tmp_path / "rig.toml", "--fix", f"beta5={leg.beta()[4]}", "--quiet --json",
-          tmp_path / "d.json")
-    told = json.loads((tmp_path / "d.json").read_text())
+def test_a_drag_with_the_square_of_speed_is_told_from_the_other_forms(tmp_path: Path, leg: Leg) -> None:
+    runs = files(tmp_path, leg, "[]", False, len(STARTS), 79, 0.004)
+    told = document("diagnose", *runs, "--fix", f"beta5={leg.beta()[4]}", "--quiet")
     assert told["verdict"] == "named"
     cause, = told["causes"]
     assert (cause["effect"], cause["joint"]) == ("quadratic_drag", 2)

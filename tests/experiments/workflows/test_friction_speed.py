@@ -1,7 +1,5 @@
 """Over which speed friction takes its level is found beside what is hidden, not in its place."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 The published parameters are those of the data sets' own READMEs (models 3.0 and 2.0), in the contract's terms.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from estimator.prediction import FittedModel, predict
 from experiments.session import load_runs, setup_of
 from experiments.workflows import fit_runs
 from tests.support.paths import REAL as DATA
-from tests.support.shell import Shell
+from tests.support.shell import typed
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 RIG = """
@@ -49,38 +47,33 @@ DESIGNS = {
 }
 
 
+def fitted(folder: Path, actuated: list[int], design: str, runs: list[str], *options: object) -> np.ndarray:
+    """beta1 to beta5 of a fit."""
+    (folder / "rig.toml").write_text(RIG.format(actuated=actuated))
+    typed("fit", *(DATA / design / f"{run}.csv.gz" for run in runs), "--rig", folder / "rig.toml", "--json",
+          folder / "fit.json", *options)
+    return np.array([p["value"] for p in json.loads((folder / "fit.json").read_text())["parameters"]])[:5]
+
+
 @pytest.mark.parametrize("method", ["wls", "mle"])
 @pytest.mark.parametrize("design", DESIGNS)
-def test_published_parameters_are_found_within_ten_per_cent(design: str, method: str, tmp_path: Path,
-                                                            shell: Shell) -> None:
+def test_published_parameters_are_found_within_ten_per_cent(design: str, method: str, tmp_path: Path) -> None:
     runs, left_out, published = DESIGNS[design]
-    rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.format(actuated=[1, 2]))
-    files = [str(DATA / design / f"{r}.csv.gz") for r in runs]
-    out, model = tmp_path / "fit.json", tmp_path / "model.json"
-    shell("fit", *files, "--rig", rig, "--method", method, "--json", out, "--model-out", model)
-    found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
-    beta = np.array([found[f"beta{k + 1}"] for k in range(5)])
+    model, check = tmp_path / "model.json", tmp_path / "check.json"
+    beta = fitted(tmp_path, [1, 2], design, runs, "--method", method, "--model-out", model)
     assert np.max(np.abs(beta / published - 1)) < 0.10
-    check = tmp_path / "check.json"
-    shell("validate", model, DATA / design / f"{left_out}.csv.gz", "--rig", rig, "--json", check)
+    typed("validate", model, DATA / design / f"{left_out}.csv.gz", "--rig", tmp_path / "rig.toml", "--json", check)
     assert check.stat().st_size > 100
 
 
-def test_the_passive_pivot_is_the_papers_case(tmp_path: Path, shell: Shell) -> None:
-    rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.format(actuated=[2]))
-    files = [str(DATA / "dfki_c0" / f"{r}_passive.csv.gz") for r in ("03", "04")]
-    out = tmp_path / "fit.json"
-    shell("fit", *files, "--rig", rig, "--method wls --json", out)
-    found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
-    # gravity terms agree with the driven runs; the two runs excite the inertias poorly (the data's README)
-    assert found["beta4"] == pytest.approx(0.2411, rel=0.15)
-    assert found["beta5"] == pytest.approx(0.1812, rel=0.15)
+def test_the_passive_pivot_is_the_papers_case(tmp_path: Path) -> None:
+    """Gravity terms agree with the driven runs; the two runs excite the inertias poorly (the data's README)."""
+    beta = fitted(tmp_path, [2], "dfki_c0", ["03_passive", "04_passive"], "--method wls")
+    assert beta[3:] == pytest.approx([0.2411, 0.1812], rel=0.15)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("design", "names"), [("dfki_c0", ["00", "01", "02", "03", "04", "05", "06"]),
+@pytest.mark.parametrize("design, names", [("dfki_c0", ["00", "01", "02", "03", "04", "05", "06"]),
                                                ("dfki_a0", ["00", "01", "02", "03", "12"])])
 def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(design: str, names: list[str]) -> None:
     """Each run is left out in turn: parameters by the others, its zeros by its first half, the second simulated."""
@@ -89,7 +82,7 @@ def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(desi
     runs = load_runs([DATA / design / f"{name}.csv.gz" for name in names], plain)
     whole = setup_of(runs, plain)
     seen = find_differing(runs, whole.mechanism, whole.options)
-    assert seen is not None and seen.joints == (0, 1) and np.all(seen.p_value < 1e-4)
+    assert seen.joints == (0, 1) and np.all(seen.p_value < 1e-4)
     squares = np.zeros((2, 2))
     for k, run in enumerate(runs):
         others = [other for i, other in enumerate(runs) if i != k]

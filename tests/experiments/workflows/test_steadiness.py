@@ -1,8 +1,6 @@
 """A fit does not hang on what means nothing: the last digits of readings, the order of
 files, when a clock began, the noise levels with which its search begins."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -118,7 +116,7 @@ def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: fl
 
 
 @needs_records
-@pytest.mark.parametrize(("name", "change"), [
+@pytest.mark.parametrize("name, change", [
     *(pytest.param(name, change, marks=pytest.mark.slow if name in ("emps", "multiarm") else pytest.mark.study)
       for name in RECORDS for change in (in_the_last_digit, at_another_time)),
     pytest.param("dfki_c0", in_another_order, marks=pytest.mark.slow),

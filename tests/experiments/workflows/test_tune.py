@@ -1,8 +1,5 @@
 """`legid tune` chooses by runs that were not fitted, says why, and writes into rig.toml without losing a comment."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +15,7 @@ from experiments.workflows.trial import Trial
 from experiments.workflows.tune_times import Times, _between, _refined
 from tests.support.mujoco_leg import random_leg
 from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 from tests.support.timed_leg import Timing, record
 
 LEG_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\n'
@@ -36,16 +33,15 @@ def timed_runs(folder: Path, seed: int, timing: Timing, rate_hz: float) -> tuple
 
 def test_what_is_chosen_is_told_and_written(tmp_path: Path, shell: Shell) -> None:
     runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], tmp_path)
-    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig = tmp_path / "rig.toml"
     text = f"# our arm\n{ARM_RIG}[noise]\nencoder_rad = 1e-4   # by its data sheet\n[filter]\ncutoff_hz = 8.0\n"
     rig.write_text(text)
     shell("tune", *runs[:2], "--rig", rig)
     assert "[terms] torque_offset" in shell.out and rig.read_text() == text  # not asked to write
-    shell("tune", *runs, "--rig", rig, "--json", out, "--write")
+    found = document("tune", *runs, "--rig", rig, "--write")
     printed = shell.out
     assert "[terms] torque_offset" in printed and "a constant in the measured torque" in printed
     assert "on held-out runs" in printed
-    found = json.loads(out.read_text())
     assert found["error_after"][0] < 0.7 * found["error_before"][0]
     tried = {t["entry"] for t in found["tried"]}
     assert "[sampling] rate_hz" in tried and "[sampling] hold" in tried
@@ -59,37 +55,32 @@ def test_what_is_chosen_is_told_and_written(tmp_path: Path, shell: Shell) -> Non
 
 def test_no_entry_changes_where_no_fit_predicts(tmp_path: Path, shell: Shell) -> None:
     runs = written([negated(swing_run(0.02, 0.05), "tau1_nm")], tmp_path)
-    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig = tmp_path / "rig.toml"
     text = f"{SWING_RIG}[sampling]\nrate_hz = 50.0\n"
     rig.write_text(text)
-    shell("tune", *runs, "--rig", rig, "--write --json", out, status=1)
+    found = document("tune", *runs, "--rig", rig, "--write", status=1)
     assert rig.read_text() == text
     assert shell.out.startswith("nothing is chosen: ")
-    found = json.loads(out.read_text())
     assert {t["error"] for t in found["tried"]} == {"no prediction"} and found["chosen"] == []
 
 
 def test_a_parameter_may_be_given(tmp_path: Path, shell: Shell) -> None:
     runs = written([swing_run(0.02, 0.05)], tmp_path)
-    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig = tmp_path / "rig.toml"
     rig.write_text(f"{SWING_RIG}[filter]\ncutoff_hz = 5.0\n")
-    errors = {}
-    for given in ("beta4=0.05", "beta4=0.5"):  # Coulomb friction as it is, and ten times that
-        shell("tune", *runs, "--rig", rig, "--json", out, "--force --fix", given)
-        errors[given] = json.loads(out.read_text())["error_before"][0]
-    assert errors["beta4=0.5"] > 2.0 * errors["beta4=0.05"]
-    shell("tune", *runs, "--rig", rig, "--fix beta5=1", status=2)
-    assert "joint1 has no parameter beta5" in shell.err
+    right, wrong = (document("tune", *runs, "--rig", rig, "--fix", given)["error_before"][0]
+                    for given in ("beta4=0.05", "beta4=0.5"))  # Coulomb friction as it is, and ten times that
+    assert wrong > 2.0 * right
+    assert "joint1 has no parameter beta5" in shell.fails("tune", *runs, "--rig", rig, "--fix beta5=1")
 
 
 def test_rate_hold_and_delay_are_found_together(tmp_path: Path, shell: Shell) -> None:
     """A controller that holds its torque from 3 ms after its stamp on; the rig file has half the rate, another hold."""
     runs, text = timed_runs(tmp_path, 1, Timing(200.0, delay_s=0.003), 100.0)
-    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig = tmp_path / "rig.toml"
     rig.write_text(text)
-    shell("tune", *runs, "--rig", rig, "--json", out, "--write")
-    printed, found = shell.out, json.loads(out.read_text())
-    assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in printed
+    found = document("tune", *runs, "--rig", rig, "--write")
+    assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in shell.out
     tuned = load_rig(rig)
     assert (tuned.sampling.rate_hz, tuned.sampling.hold) == (200.0, "zero")
     assert tuned.timing.torque_delay_s is not None
@@ -99,25 +90,23 @@ def test_rate_hold_and_delay_are_found_together(tmp_path: Path, shell: Shell) ->
     assert np.all(np.array(found["error_after"]) < 0.5 * np.array(found["error_before"]))
 
 
-def test_a_hold_that_needs_no_delay_is_tried_on_each_grid(tmp_path: Path) -> None:
-    """A controller of 200 Hz logged at 100: with the rig file's hold alone both grids predict alike badly."""
-    runs, text = timed_runs(tmp_path, 2, Timing(200.0, 2), 50.0)
+@pytest.mark.parametrize("seed, timing, rate_hz, grids, sampling", [
+    (2, Timing(200.0, 2), 50.0, {25.0, 100.0}, (100.0, "auto", 0.005)),
+    (3, Timing(500.0, 2), 125.0, {31.25, 62.5, 250.0}, (250.0, "auto", 0.002))], ids=["hold", "rate"])
+def test_a_hold_without_a_delay_is_tried_on_each_grid_of_whole_parts_of_the_record_s_rate(
+        seed: int, timing: Timing, rate_hz: float, grids: set[float], sampling: tuple[float, str, float],
+        tmp_path: Path) -> None:
+    """A controller of 200 Hz logged at 100: with the rig file's hold alone both grids predict alike badly.
+
+    At 200 of 250 samples a second each reading lies between two, and the record's own grid seemed the worse one.
+    """
+    runs, text = timed_runs(tmp_path, seed, timing, rate_hz)
     rig = parse_rig(text)
     found = tune_runs(runs, rig)
+    assert {float(value) for entry, value, _ in found.tried if entry == "[sampling] rate_hz"} == grids
     chosen = with_choices(rig, found.choices)
-    assert chosen.sampling.rate_hz == 100.0 and chosen.sampling.hold == "auto"
-    assert chosen.timing.control_period_s == 0.005 and chosen.timing.torque_delay_s is None
-
-
-def test_grids_have_whole_parts_of_the_record_s_rate(tmp_path: Path) -> None:
-    """At 200 of 250 samples a second each reading lies between two, and the record's own grid seemed the worse one."""
-    runs, text = timed_runs(tmp_path, 3, Timing(500.0, 2), 125.0)
-    rig = parse_rig(text)
-    found = tune_runs(runs, rig)
-    grids = {float(value) for entry, value, _ in found.tried if entry == "[sampling] rate_hz"}
-    assert grids == {31.25, 62.5, 250.0}
-    chosen = with_choices(rig, found.choices)
-    assert chosen.sampling.rate_hz == 250.0 and chosen.timing.control_period_s == pytest.approx(0.002)
+    assert (chosen.sampling.rate_hz, chosen.sampling.hold, chosen.timing.control_period_s) == pytest.approx(sampling)
+    assert chosen.timing.torque_delay_s is None
 
 
 def test_a_hold_that_no_rig_file_states_is_a_smooth_torque_and_a_delay() -> None:
@@ -126,7 +115,7 @@ def test_a_hold_that_no_rig_file_states_is_a_smooth_torque_and_a_delay() -> None
     assert _between(bench, parse_rig(LEG_RIG)) == ("smooth", pytest.approx(-0.002))
 
 
-@pytest.mark.parametrize(("depth", "wanted"), [(4.0, 0.0122), (0.1, 0.0150)])
+@pytest.mark.parametrize("depth, wanted", [(4.0, 0.0122), (0.1, 0.0150)])
 def test_a_delay_changes_where_another_predicts_better(depth: float, wanted: float) -> None:
     """The likelihood's stays where the others gain too little."""
     def attempt(times: Times) -> Trial:
