@@ -69,9 +69,9 @@ class Explanation:
 
     def weighed(self) -> Explanation:
         """With effects `within` the tolerances of the rig all of whose sizes have zero in their intervals, too."""
-        beta, pairs = self.model.state.beta, zip(self.model.named, self.model.places())
-        return replace(self, within=self.within | {e.key for e, here in pairs if np.all(
-            np.abs(beta[here]) <= self.half_widths[here], where=np.arange(e.count) < len(e.sizes))})
+        every = zip(self.model.named, self.model.sizes(), self.model.places())
+        return replace(self, within=self.within | {e.key for e, size, here in every if np.all(
+            np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])})
 
 
 def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:

@@ -20,6 +20,7 @@ from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.quadratic_drag import QuadraticDrag
 from estimator.effects.rotor_inertia import RotorInertia
 from estimator.effects.torque_offset import TorqueOffset
+from tests.support.stated_fits import explained
 
 TESTS = 150
 """Candidates that were tried: a size counts from four standard deviations on."""
@@ -162,3 +163,12 @@ def test_a_size_counts_where_it_is_determined_and_beyond_its_scatter(inflation: 
     spring = explanation(JointStiffness(0), 1000.0, [0.0] * 6, [5.0, 1.0], inflation=inflation)
     spring.determined[5:] = known
     assert presence(spring) == [there] and undetermined(spring) == [known == (False, False)]
+
+
+@pytest.mark.parametrize(("halves", "kept"), [((8.0, 8.0), ("spring", "offset")), ((10.0, 8.0), ("offset",)),
+                                              ((10.0, 10.0), ())])
+def test_a_size_that_the_tolerances_do_not_tell_from_zero_is_no_fault(halves: tuple[float, float],
+                                                                     kept: tuple[str, ...]) -> None:
+    one = explained(900.0, "spring", "offset")  # both of size 9
+    vars(one)["half_widths"] = np.array(halves)
+    assert one.weighed().beyond == set(kept)
