@@ -20,12 +20,12 @@ from estimator.diagnosis.gain import measure_gain, smoothed_tests
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, ShortRuns, SizeEstimate, SmallSize
+from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, ShortRuns, SizeEstimate
 from estimator.diagnosis.tolerances import with_tolerances
 from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
-from estimator.fitting import SmallFault, disturbance_levels, imu_levels, torque_levels
+from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
@@ -93,14 +93,6 @@ def remainder(family: FittedFamily, decision: Decision) -> Remainder | None:
     answer = decision.answer
     row = family.rows.own if decision.terms == "nominal" or answer is None else answer.with_generic
     return remainder_of(family.models[row])
-
-
-def within(faults: Sequence[SmallFault], mechanism: Mechanism) -> tuple[SmallSize, ...]:
-    """Each size of the `faults`, the largest in units of its tolerance first."""
-    sizes = [SmallSize(one.effect.name, None if one.effect.joint is None else one.effect.joint + 1, size.name,
-                       mechanism.unit(size.unit), float(value), float(tolerance))
-             for one in faults for size, value, tolerance in zip(one.effect.sizes, one.size, one.tolerance)]
-    return tuple(sorted(sizes, key=lambda one: -abs(one.value) / one.tolerance))
 
 
 def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:

@@ -2,8 +2,7 @@
 
     runs    = split_runs(datasets)            train and test runs
     begun   = begin(runs, library)            fit and scores of the train runs
-    runs    = within_tolerances(begun)        readings without small faults of their sensors
-    found   = search(begun)                   sets of effects, by the train runs alone; once more without small faults
+    found   = search(begun)                   sets of effects, by the train runs alone
     family  = family_of(found)                the answer, and every model that its verdict asks for
     table   = measure_first(family)           free-run errors on the test runs, which are looked at here first
     verdict = decide(table, family)           no fit, no simulation, no random number
@@ -107,12 +106,6 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
         return begin(nominal, candidates, named, rng, say, material, bias)
 
     begun = anew(nominal_model(split, near))
-    taken: tuple[SmallFault, ...] = ()
-    less = within_tolerances(begun, [Explanation(begun.context.nominal, 0.0)])
-    if less is not None:
-        clean = anew(less.nominal, begun.context.bias)
-        if least_error(clean.context, []) <= EDGE:
-            begun, taken = clean, less.faults
     if stated is not None and begun.there:
         other = smoothing_velocity_with(begun, stated)
         if other is not None:
@@ -120,16 +113,9 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
                 again = replace(begun.context.split, mechanism=other, stiction={})
                 begun = anew(nominal_model(again, nearby(begun.context.nominal)), begun.context.bias)
     found = searched(begun, say)
-    less = within_tolerances(begun, [e for e in first_of_each(found) if e.has_residual and admissible(e)])
-    if less is not None:
-        clean = anew(less.nominal, begun.context.bias)
-        fewer = searched(clean, say)
-        if least_error(clean.context, fewer) <= EDGE:
-            begun, found, taken = clean, fewer, together_with(taken, less.faults)
     context = begun.context
     base = account.base(context.nominal, refused, reference)
-    base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests),
-                   within_tolerance=account.within(taken, context.split.mechanism))
+    base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, found, begun.generic, rng)
     return replace(with_structure(concluded, context.nominal), mechanism=context.nominal.split.mechanism)
@@ -156,17 +142,6 @@ def begin(nominal: Model, candidates: list[Candidate], named: int, rng: np.rando
     return Begun(context, tests, there, generic)
 
 
-def within_tolerances(begun: Begun, found: Sequence[Explanation]) -> Corrected | None:
-    """The runs without small faults of their sensors that the first of the explanations `found` shows, if any does."""
-    context = begun.context
-    for one in found if begun.there else ():
-        scores = context.scores if one.model is context.nominal else score_train(one.model, context.candidates)
-        less = corrected(context, one.model, unbiased(context, one.model, scores))
-        if less is not None:
-            return less
-    return None
-
-
 def searched(begun: Begun, say: Progress) -> list[Explanation]:
     """Explanations of what is there. Raises `FitError` where noise hides whether anything is."""
     if begun.there or large(begun.context):
@@ -174,15 +149,6 @@ def searched(begun: Begun, say: Progress) -> list[Explanation]:
     if begun.context.noise_dominated:
         raise FitError(begun.context.noise_dominated)
     return []
-
-
-def together_with(faults: Sequence[SmallFault], more: Sequence[SmallFault]) -> tuple[SmallFault, ...]:
-    """All of them, sizes of one effect added up."""
-    every = {one.effect.key: one for one in faults}
-    for one in more:
-        known = every.get(one.effect.key)
-        every[one.effect.key] = one if known is None else known._replace(size=known.size + one.size)
-    return tuple(every.values())
 
 
 def large(context: DiagnosisContext) -> bool:
