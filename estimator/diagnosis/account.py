@@ -26,7 +26,6 @@ from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
-from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
 
@@ -204,8 +203,6 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
                 "are present, but not each of them surely reduces")
         sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} the free-run rms error by "
                     f"{100 * found.material:.0f} %")
-    if found.within_tolerance:
-        sentence += ". Small faults of sensors, within the tolerances of the rig, were taken off the readings before"
     if found.unmeasured:
         sentence += (". Noise includes an unmeasured torque of "
                      + " and ".join(f"{level} (rms) at joint {j}" for j, level in found.unmeasured.items()))

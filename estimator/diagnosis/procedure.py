@@ -32,12 +32,11 @@ from estimator.diagnosis.context import (
     scored,
     separability,
 )
-from estimator.diagnosis.corrected_runs import Corrected, corrected, unbiased
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
-from estimator.diagnosis.explanation import Explanation, admissible, by_error, first_of_each
+from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model, score_train
+from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
@@ -46,7 +45,7 @@ from estimator.diagnosis.train_errors import train_table
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
-from estimator.fitting import SmallFault, describe_smoothing_velocity, fit_nominal
+from estimator.fitting import describe_smoothing_velocity, fit_nominal
 from estimator.likelihood import Candidate, State
 from estimator.model import Mechanism
 from estimator.numerics import load_compiler

@@ -41,20 +41,6 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class SmallSize:
-    """One size of a sensor's fault within its tolerance, SI."""
-
-    effect: str
-    joint: int | None
-    """1-based, None for effects of the whole rig."""
-    name: str
-    unit: str
-    value: float
-    tolerance: float
-    """1 sigma"""
-
-
-@dataclass(frozen=True)
 class CandidateScore:
     """One effect of the library as scored before any re-fit."""
 
@@ -218,8 +204,6 @@ class Diagnosis:
     the units of `error`; the least error first."""
     immaterial: tuple[Cause, ...] = ()
     """Present, but the simulation's error hardly falls by them."""
-    within_tolerance: tuple[SmallSize, ...] = ()
-    """Faults of sensors that the rig's tolerances hold; they were taken off the readings before effects were tried."""
     remainder: Remainder | None = None
     structure: Structure | None = None
     """Torques without a listed cause that repeat in all runs; only of `unexplained` and `partial`, where they hold."""

@@ -23,7 +23,6 @@ from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import with_second_opinion
-from estimator.fitting.small_faults import SmallFault, small_faults, without_faults
 from estimator.fitting.tolerances import tolerated
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
@@ -37,7 +36,6 @@ __all__ = [
     "MarginalLikelihood",
     "Measurement",
     "Policies",
-    "SmallFault",
     "body_unit",
     "converge_motion",
     "descend",
@@ -64,12 +62,10 @@ __all__ = [
     "noise_floors",
     "of_noise",
     "require_scale",
-    "small_faults",
     "start_motion",
     "start_state",
     "tolerated",
     "torque_levels",
     "weighted_least_squares",
     "with_second_opinion",
-    "without_faults",
 ]

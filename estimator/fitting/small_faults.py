@@ -25,16 +25,12 @@ class SmallFault(NamedTuple):
     """Of each of its sizes, 1 sigma."""
 
 
-def small_faults(sensors: SensorFaults, sizes: FloatArray) -> list[SmallFault]:
-    """Faults of the `sensors` with these `sizes` (k,)."""
-    return [SmallFault(sensors.candidates[i].effect, size, tolerance) for i, size, tolerance in
-            zip(sensors.which, sensors.parts(sizes), sensors.parts(sensors.tolerances), strict=True)]
-
-
 def faults_shown(sensors: SensorFaults, runs: Sequence[Score], least_gain: float) -> tuple[SmallFault, ...]:
     """The small faults that the scores of `runs` show; none where they gain less than `least_gain`."""
     found = sensors.chosen(runs, least_gain)
-    return () if found is None else tuple(small_faults(found, found.likeliest(runs).sizes))
+    return () if found is None else tuple(
+        SmallFault(found.candidates[i].effect, size, tolerance) for i, size, tolerance in
+        zip(found.which, found.parts(found.likeliest(runs).sizes), found.parts(found.tolerances), strict=True))
 
 
 def told(faults: Sequence[SmallFault]) -> str:

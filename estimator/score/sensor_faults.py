@@ -107,21 +107,18 @@ class SensorFaults:
         second = within.likeliest(runs)
         return None if second.gain < second.by_laws else within
 
-    def likeliest(self, runs: Sequence[Score], taken: FloatArray | None = None) -> Likeliest:
-        """The likeliest sizes in addition to what is `taken` (k,) off already: there the prior's score is -n / t^2."""
+    def likeliest(self, runs: Sequence[Score]) -> Likeliest:
+        """The likeliest sizes."""
         p, count = self.free.size, len(self.sizes)
         wide = [Nuisance("law", "law", WIDE * s.scale) for i in self.laws for s in self.candidates[i].effect.sizes]
         own = [one.of(np.concatenate([np.arange(p), *(p + self.columns[i] for i in (*self.which, *self.laws))]))
                for one in runs]
         every = [*self.sizes, *wide]
         plain, _ = discounted(projected(total(own), self.free), self.free, own, every)
-        score = plain.score.copy()
-        if taken is not None:
-            score[:count] -= taken / self.tolerances**2
-        found = marginalise(replace(plain, score=score), every).sizes
+        found = marginalise(plain, every).sizes
         alone = marginalise(plain, [one._replace(tolerance=0.0) for one in self.sizes] + wide).sizes
         by_laws = float(plain.score @ alone)
-        return Likeliest(found[:count], float(score @ found) - by_laws, by_laws)
+        return Likeliest(found[:count], float(plain.score @ found) - by_laws, by_laws)
 
     def _with_laws(self, runs: Sequence[Score]) -> Self | None:
         """With each law that explains more than all sensors do in addition to the laws before; None where something
