@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from daq import Column, InputError
 from daq import Dataset as PlainDataset
@@ -88,7 +87,7 @@ def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = Non
     if not isinstance(what, PlainDataset) and kind in OF_MODELS:
         model, where, _ = as_model(what, "the model")
         if kind == "mujoco":
-            runs = prepare(given, runs_and_rig(given, rig)[1].rig, beta=np.array(model.beta)) if given else None
+            runs = prepare(given, runs_and_rig(given, rig)[1].rig, model=model) if given else None
             return export_folder(model, where, Path(out), runs, samples, seed)
         return export_file(kind, model, where, out, None if rig is None else as_rig(rig).rig.limits)
     assert not isinstance(what, Model)
