@@ -1,4 +1,5 @@
 from .agreement import WIDENED as WIDENED
+from .agreement import disputed as disputed
 from .budget import LEAST_PART as LEAST_PART
 from .budget import PARTS_TOLD as PARTS_TOLD
 from .budget import parts_of as parts_of
@@ -26,6 +27,7 @@ from .headline import VERDICTS as VERDICTS
 from .headline import Headline as Headline
 from .headline import Level as Level
 from .headline import answer_words as answer_words
+from .headline import counted as counted
 from .headline import verdict_title as verdict_title
 from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files

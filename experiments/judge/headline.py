@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +25,10 @@ CHANGES: dict[str, tuple[Level, str]] = {
 """Verdict of a change, the gravest last."""
 
 
+FIGURE = re.compile(r"(?<![\w.])\d[\d.e+-]*")
+"""A number that may differ between runs, and no part of a name."""
+
+
 @dataclass(frozen=True)
 class Headline:
     """The answer, what limits it, and the next step."""
@@ -37,10 +42,24 @@ class Headline:
     """The next step; empty without one."""
 
     @property
+    def reasons(self) -> list[str]:
+        """What stands below the title, one line each."""
+        return [*self.lines, *(f"Warning: {text}" for text in counted(self.warnings))]
+
+    @property
     def told(self) -> list[str]:
         """All of it, one line each."""
-        return [self.title, *self.lines, *(f"Warning: {text}" for text in self.warnings),
-                *([f"Next step: {self.action}"] if self.action else [])]
+        return [self.title, *self.reasons, *([f"Next step: {self.action}"] if self.action else [])]
+
+
+def counted(warnings: Iterable[str]) -> list[str]:
+    """The warnings; those that differ in their first word, the run, and in figures alone stand once, the runs
+    counted."""
+    alike = dict[str, list[str]]()
+    for text in dict.fromkeys(warnings):
+        alike.setdefault(FIGURE.sub("", text.partition(" ")[2]), []).append(text)
+    return [first + (f". Likewise in {len(more)} more: {', '.join(dict.fromkeys(text.split()[0] for text in more))}"
+                     if more else "") for first, *more in alike.values()]
 
 
 def verdict_title(verdict: Verdict) -> str:

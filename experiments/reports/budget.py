@@ -35,15 +35,10 @@ def budget_table(fit: FitDocument) -> Table:
 
 
 def budget_lines(fit: FitDocument) -> list[str]:
-    """For a terminal; none without a budget."""
-    if fit.budget is None:
-        return []
-    lines = [f"budget: {fit.precision}"] if fit.precision else []
-    if fit.tolerances_enlarged:
-        grown = ", ".join(f"{group} {factor:.2g} times" for group, factor in
-                          sorted(fit.tolerances_enlarged.items(), key=lambda pair: -pair[1]))
-        lines.append(f"the runs ask for larger tolerances: {grown}")
-    return lines
+    """Tolerances that the runs enlarge; none without any."""
+    grown = ", ".join(f"{group} {factor:.2g} times" for group, factor in
+                      sorted(fit.tolerances_enlarged.items(), key=lambda pair: -pair[1]))
+    return [f"the runs ask for larger tolerances: {grown}"] if grown else []
 
 
 def budget_section(fit: FitDocument) -> Section | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.documents import Answer, Candidate, Cause, ChangeDocument, Differing, SessionsDocument, finite
-from experiments.judge import Files, with_names
+from experiments.judge import Files, counted, with_names
 from experiments.reports.diagnosis_text import untestable_section
 from experiments.reports.figures import BLUE, GREY, INK, ORANGE, ROW_IN, draw, finish, name_rows
 from experiments.reports.html import Picture, Section, Table, fold
@@ -37,7 +37,7 @@ def change_text(found: Differing, files: Files | None = None) -> str:
         table = detectable_table(found, SHOWN)
         blocks += ["Smallest change that these runs would have shown with 80 % probability (the likeliest "
                    f"{len(table.rows)} of {len(found.candidates)}):\n{table.text}", structure_text(found)]
-    blocks += [f"Next step: {with_names(head.action, files)}", *(f"warning: {text}" for text in head.warnings),
+    blocks += [f"Next step: {with_names(head.action, files)}", *(f"warning: {text}" for text in counted(head.warnings)),
                f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)"]
     return "\n\n".join(blocks)
 

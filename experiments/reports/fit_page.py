@@ -16,6 +16,7 @@ from experiments.documents import FitDocument
 from experiments.judge import (
     Correlation,
     Estimate,
+    Files,
     fit_percent,
     friction_level,
     number,
@@ -55,14 +56,9 @@ SENSOR_LABELS = {
 
 def fit_summary(fit: FitDocument) -> str:
     """One sentence at the top of the page."""
-    ending = "The fit converged." if fit.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
-    if fit.undetermined:
-        ending += f" This data does not determine {', '.join(fit.undetermined)}."
-    if fit.force_unit == "V":
-        ending += f" {VOLTS}"
     prior = f"{prior_sentence(fit)} " if fit.prior else ""
-    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}. "
-            f"{ending}")
+    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}."
+            f"{f' {VOLTS}' * (fit.force_unit == 'V')}")
 
 
 def _sensors(fit: FitDocument) -> str:
@@ -70,12 +66,14 @@ def _sensors(fit: FitDocument) -> str:
     return f"{sensors} and torque" if fit.driven else sensors.replace(", ", " and ")
 
 
-def write_fit(path: Path | str, fit: FitDocument, runs: Sequence[str], result: FitResult | None = None) -> None:
+def write_fit(path: Path | str, fit: FitDocument, runs: Sequence[str], result: FitResult | None = None,
+              files: Files | None = None) -> None:
     """Write the page of a fit to `runs`: its document, and the motion of `result` where that is known.
 
-    Raises `InputError` where that place cannot be written.
+    The next step names `files`. Raises `InputError` where that place cannot be written.
     """
-    write_result(path, fit, f"Fit of {fit.model}: {', '.join(runs)}", fit_summary(fit), fit_sections(fit, result))
+    write_result(path, fit, f"Fit of {fit.model}: {', '.join(runs)}", fit_summary(fit), fit_sections(fit, result),
+                 files)
 
 
 def fit_sections(fit: FitDocument, result: FitResult | None, benchmark: FitResult | None = None) -> list[Section]:
@@ -241,6 +239,5 @@ def _noise(fit: FitDocument) -> Section:
 def _limits(fit: FitDocument) -> Section:
     text: Sequence[str] = (["This data does not determine:"] if fit.undetermined
                            else ["This data determines every parameter of the model."])
-    notes = [*fit.undetermined, *(f"Warning: {w}" for w in fit.warnings),
-             *(f"Assumed: {a}" for a in fit.assumptions)]
+    notes = [*fit.undetermined, *(f"Assumed: {a}" for a in fit.assumptions)]
     return Section("What is not determined, and what is assumed", text, notes=notes)

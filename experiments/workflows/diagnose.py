@@ -29,7 +29,7 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
     """
     known_effects()
     setup, rig = prepared.setup, prepared.rig
-    notes = (*(str(one) for one in prepared.flags), *setup.notes)
+    notes = (*prepared.warnings, *setup.notes)
     imus = setup.mechanism.imus
     if setup.options.sensors == "imu" and len(imus) > 1:
         raise InputError("the rig file", f"has {len(imus)} IMUs; a diagnosis knows the faults of one",

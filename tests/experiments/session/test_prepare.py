@@ -114,7 +114,7 @@ def test_a_fault_of_the_columns_is_the_first_line() -> None:
     told = replace(sound, findings=(Finding("fault", "columns", "gyro and accelerometer contradict each other"),))
     assert fit_trust(told).sentence == "NOT TO BE USED: the columns cannot be right."
     assert fit_trust(told).reasons == ("Gyro and accelerometer contradict each other.",)
-    said = replace(sound, findings=(Finding("warning", "rig_contradiction", "run1 was recorded with x = 1"),))
+    said = replace(sound, findings=(Finding("doubt", "rig_contradiction", "run1 was recorded with x = 1"),))
     assert fit_trust(said).sentence == "DO NOT TRUST the parameters: the rig file contradicts a run."
-    assert fit_trust(said).reasons[0] == "The rig file contradicts a run: run1 was recorded with x = 1."
+    assert fit_trust(said).reasons[0] == "run1 was recorded with x = 1."
     assert document_of(told).trust.level == "bad"
