@@ -43,7 +43,6 @@ from .opinion import disagreement as disagreement
 from .opinion import with_half_width as with_half_width
 from .residuals import Correlation as Correlation
 from .residuals import fit_percent as fit_percent
-from .residuals import friction_level as friction_level
 from .residuals import open_torque as open_torque
 from .residuals import residual_tests as residual_tests
 from .residuals import torque_fit as torque_fit

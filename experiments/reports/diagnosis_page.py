@@ -211,8 +211,8 @@ def _traces(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
                default="")
     paper = on_paper(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}: measured, and simulated by the "
-                        f"nominal and by the extended model; below, simulated less measured.{paper}",
-                        trace_chart(first, column), leads=column == told)
+                        f"nominal and by the extended model; below, simulated less measured.",
+                        trace_chart(first, column), column == told, paper)
                 for column in shown]
     return Section("Simulation against measurement, before and after", (), (), pictures)
 

@@ -18,7 +18,6 @@ from experiments.judge import (
     Estimate,
     Files,
     fit_percent,
-    friction_level,
     number,
     open_torque,
     residual_tests,
@@ -45,9 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIGURE_SECONDS = 12.0
-WORTH_CUTTING = 1.2
-"""An axis that would be so many times as long is cut."""
-FAINT = f"{ORANGE}55"
 BoolArray = NDArray[np.bool_]
 SENSOR_LABELS = {
     "gyro_radps": "gyro [rad/s]", "accel_x_mps2": "accelerometer x [m/s²]", "accel_y_mps2": "accelerometer y [m/s²]",
@@ -139,21 +135,16 @@ def _torques(result: FitResult, path: Trajectory, benchmark: FitResult | None) -
         if other is not None and benchmark is not None:
             lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other[:, j], GREEN, 0.9))
         unknown = open_torque(result, path, j)
-        told = [*(line.values for line in lines), np.where(unknown, np.nan, path.tau[:, j])]
-        if unknown.any():
-            widened = np.convolve(unknown, np.ones(3), mode="same") > 0.0  # so that the two curves meet
-            lines.append(Line("model near rest, not known", np.where(widened, path.tau[:, j], np.nan), FAINT, 0.6))
-        lines.append(Line(f"model ({result.method})", told[-1], ORANGE, 0.9))
+        lines.append(Line(f"model ({result.method})", np.where(unknown, np.nan, path.tau[:, j]), ORANGE, 0.9))
         if not driven:
             lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
-        cut = torque_range(told, path.tau[:, j], friction_level(result, j))
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
-                                      _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
-                                      y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
+                                      _torque_caption(result, path, j, unknown), FIGURE_SECONDS,
+                                      leads=j == max(result.mechanism.actuated, default=-1)))
     return Section("Torques", [f"Run {path.run}."], pictures=pictures)
 
 
-def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
+def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray) -> str:
     driven, force = j in result.mechanism.actuated, result.mechanism.force_unit
     text = f"Torque of joint {j + 1} in run {path.run}" + ("" if driven else ", which has no motor: it must be zero")
     text += f". Rms of measured minus model: {float(result.torque_residual_rms[j]):.3g} {force}"
@@ -163,24 +154,9 @@ def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolAr
     if driven:
         text += f"; fit {torque_fit(result, j, [path]):.1f} %" + (" there" if unknown.any() else "")
     text += "."
-    if cut:
-        text += (f" The axis is cut: near rest, where dry friction may hold the joint against any torque, the model's "
-                 f"is not known, and scatters to {float(np.max(np.abs(path.tau[unknown, j]))):.2g} {force}.")
+    if unknown.any():
+        text += " Near rest the model's torque is not known: dry friction may hold the joint against any."
     return text
-
-
-def torque_range(told: Sequence[FloatArray], modelled: FloatArray, least: float) -> tuple[float, float] | None:
-    """An axis that shows all of the curves `told`, NaN where they are not known, and `least` at either side of zero.
-
-    None where that cuts next to nothing off `modelled`, the model's torque known or not, and where nothing is known.
-    """
-    known = np.concatenate([*told, [-least, least]])
-    low, high = float(np.nanmin(known)), float(np.nanmax(known))
-    longest = max(high, float(np.nanmax(modelled))) - min(low, float(np.nanmin(modelled)))
-    if not high > low or longest < WORTH_CUTTING * (high - low):
-        return None
-    margin = 0.05 * (high - low)
-    return low - margin, high + margin
 
 
 def _benchmark_torque(benchmark: FitResult | None, path: Trajectory) -> FloatArray | None:
