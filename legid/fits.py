@@ -15,7 +15,7 @@ from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
 from experiments.judge import Files, check_sound
 from experiments.provenance import Origin
-from experiments.reports import agreement_lines, fit_summary, parameter_table, whole_fit_text, write_fit
+from experiments.reports import fit_summary, parameter_table, whole_fit_text, write_fit
 from experiments.workflows import Fitted
 from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
@@ -142,6 +142,4 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return f"{self.trust}\n\n{parameter_table(self).text}"
 
     def _repr_html_(self) -> str:
-        told = [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
-        return (paragraphs([*self.headline.told, fit_summary(self)]) + tables_html(parameter_table(self))
-                + paragraphs(told))
+        return paragraphs([*self.headline.told, fit_summary(self)]) + tables_html(parameter_table(self))

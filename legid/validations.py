@@ -86,11 +86,8 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings to be read before the result: runs left out, flags of the others, runs that were fitted."""
-        made = self._measured()
-        fitted = f"{made.where} was fitted to {', '.join(self.fitted_to)}, which therefore do not validate it; give " \
-            "other runs"
-        return (*made.report.prepared.warnings, *([fitted] if self.fitted_to else []))
+        """Warnings to be read before the result: runs left out, flags of the others."""
+        return tuple(self._measured().report.prepared.warnings)
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid validate` prints. The next step names `files`."""

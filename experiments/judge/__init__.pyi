@@ -27,7 +27,7 @@ from .headline import VERDICTS as VERDICTS
 from .headline import Headline as Headline
 from .headline import Level as Level
 from .headline import answer_words as answer_words
-from .headline import counted as counted
+from .headline import sentence_of as sentence_of
 from .headline import verdict_title as verdict_title
 from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files

@@ -48,9 +48,7 @@ def precision(result: FitResult) -> str:
             if part > LEAST_PART * half]
     noise = [f"noise {_percent(parts['noise'] / value)}"] if parts["noise"] <= LEAST_PART * half else []
     if half > value:  # a share of more than the whole says nothing
-        largest = ", ".join(source_words(source) for source, part in [*parts.items()][:PARTS_TOLD]
-                            if part > LEAST_PART * half)
-        return f"{result.mechanism.names[k]} is not known: its interval is wider than its value, most by {largest}"
+        return f"{result.mechanism.names[k]} is not known: its interval is wider than its value"
     return (f"{result.mechanism.names[k]} is known to {_percent(half / value)} "
             f"({', '.join([*told[:PARTS_TOLD], *noise])})")
 

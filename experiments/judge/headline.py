@@ -51,6 +51,11 @@ class Headline:
         """All of it, one line each."""
         return [self.title, *self.reasons, *([f"Next step: {self.action}"] if self.action else [])]
 
+    @property
+    def text(self) -> str:
+        """The same for a terminal; without a title that the first line says in full."""
+        return "\n".join(self.told[bool(self.lines and not self.title.endswith(".")):])
+
 
 def counted(warnings: Iterable[str]) -> list[str]:
     """The warnings; those that differ in their first word, the run, and in figures alone stand once, the runs
@@ -62,10 +67,14 @@ def counted(warnings: Iterable[str]) -> list[str]:
                      if more else "") for first, *more in alike.values()]
 
 
+def sentence_of(text: str) -> str:
+    """`text` as a sentence; a name such as beta1 keeps its small letter."""
+    return f"{text if re.match(r'[a-z_]*[0-9]', text) else text[:1].upper() + text[1:]}."
+
+
 def verdict_title(verdict: Verdict) -> str:
     """The verdict of a diagnosis as a title."""
-    words = VERDICTS[verdict][1]
-    return f"{words[:1].upper()}{words[1:]}"
+    return VERDICTS[verdict][1].capitalize()
 
 
 def answer_words(probability: float | None, in_library: float | None) -> list[str]:

@@ -5,7 +5,6 @@ The thresholds stand here and in docs/trust.md, which says what they were held a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -17,7 +16,7 @@ from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
 from experiments.judge.budget import precision
 from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
-from experiments.judge.headline import Headline, Level
+from experiments.judge.headline import Headline, Level, sentence_of
 from experiments.judge.next_steps import DIAGNOSE, EACH, SIMULATE, VALIDATE
 from experiments.models import MechanismSettings, TrustValues
 
@@ -29,10 +28,10 @@ IN_SHORT: dict[str, str] = {
     "sensor_scale": "a sensor's scale is wrong", "repeating_torque": "an unmeasured torque repeats",
     "omitted_effect": "the model seems to lack an effect", "prior": "the runs contradict [prior]",
     "budget": "the budget is wider than a value", "undetermined": "not all are determined",
-    "rig_contradiction": "the rig file contradicts a run",
-    "impossible": "no mechanism has these parameters", "columns": "the columns cannot be right"}
-"""Kind of a fault or a suspect result -> its words in the first line; its own line has the figures. The first line has
-all of the others."""
+    "rig_contradiction": "the rig file contradicts a run"}
+"""Kind of a suspect result -> its words in the first line; its own line has the figures."""
+FAULTS: dict[str, str] = {"impossible": "no mechanism has these parameters", "columns": "the columns cannot be right"}
+"""The same of faults; the first line has all of the others."""
 STEPS: dict[str, str] = {
     "columns": "Check units, signs and order of the columns",
     "impossible": "Check gravity and joints under [mechanism]",
@@ -58,12 +57,7 @@ class Trust(Struct, frozen=True):
     @property
     def headline(self) -> Headline:
         """The same as the first lines of a result."""
-        return Headline(self.level, self.sentence.removesuffix("."), self.reasons, action=self.next_step or "")
-
-    @property
-    def text(self) -> str:
-        """The sentence, its reasons and the next step, one a line."""
-        return "\n".join([self.sentence, *self.headline.told[1:]])
+        return Headline(self.level, self.sentence, self.reasons, action=self.next_step or "")
 
 
 def fit_trust(result: FitResult) -> Trust:
@@ -82,18 +76,18 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
     - `known`: how well its leading parameter is known. `untested`: why no residual tests it; empty if some do.
     - `scale`: parameters that were given where no torque was measured. `rough`: its torque fits to less than 90 %.
     """
-    told = {role: tuple(dict.fromkeys(_line(one.text) for one in findings if one.role == role))
+    told = {role: tuple(sentence_of(one.text) for one in findings if one.role == role)
             for role in ("fault", "doubt", "fact", "remedy")}
     kinds = [one.kind for one in findings if one.role == ("fault" if told["fault"] else "doubt")]
     step = next((step for kind, step in STEPS.items() if kind in kinds), DIAGNOSE)
     if told["fault"]:
         texts = [one.text for one in findings if one.role == "fault" and one.kind == kinds[0]]
-        short = IN_SHORT.get(kinds[0]) if kinds[0] in ("impossible", "columns") else None
+        short = FAULTS.get(kinds[0])
         return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(
-            line for line in told["fault"] if short or line not in map(_line, texts)), (*told["remedy"], step)[0])
+            line for line in told["fault"] if short or line not in map(sentence_of, texts)), (*told["remedy"], step)[0])
     if told["doubt"]:
         return Trust("bad", f"DO NOT TRUST the parameters: {_in_short(kinds)}.", (*told["doubt"], *told["fact"]), step)
-    facts = (*([_line(known)] if known else []), *told["fact"])
+    facts = (*([sentence_of(known)] if known else []), *told["fact"])
     if untested:
         return Trust("caution", f"NOT TESTED: {untested}, which cannot test the parameters.", told["fact"],
                      "Fit by maximum likelihood: legid fit RUN... --rig RIG")
@@ -110,14 +104,7 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
 def _in_short(suspect: Sequence[str]) -> str:
     """The first kinds of suspect results, and how many more there are."""
     kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in suspect))
-    more = [f"and {len(kinds) - NAMED} more"] if len(kinds) > NAMED else []
-    return ", ".join([*kinds[:NAMED], *more])
-
-
-def _line(text: str) -> str:
-    """`text` as a sentence; a name such as beta1 keeps its small letter."""
-    named = re.match(r"\w*\d", text)
-    return f"{text if named else text[:1].upper() + text[1:]}."
+    return ", ".join(kinds[:NAMED]) + f", and {len(kinds) - NAMED} more" * (len(kinds) > NAMED)
 
 
 def deciding(table: PredictionTable) -> list[str]:
@@ -154,8 +141,8 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
             return Trust("good", f"TRUST for simulation over {seconds}: {told}.", next_step=SIMULATE)
         more = f", and {len(suspect) - 1} more" if suspect[1:] else ""
         return Trust("caution", f"TRUST WITH CARE for simulation over {seconds}: {suspect[0]}{more}.",
-                     tuple(map(_line, [told, *suspect[1:]])), VALIDATE if seen else STEPS["rig_contradiction"])
-    reasons = tuple(map(_line, [f"over {seconds}: {told}", f"over {SHORT_S:g} s: fit {_percent(short)} at worst, "
+                     tuple(map(sentence_of, [told, *suspect[1:]])), VALIDATE if seen else STEPS["rig_contradiction"])
+    reasons = tuple(map(sentence_of, [f"over {seconds}: {told}", f"over {SHORT_S:g} s: fit {_percent(short)} at worst, "
                                 f"{where_short}", *suspect]))
     if short >= GOOD_FIT:
         return Trust("caution", f"TRUST for predictions of {SHORT_S:g} s, not for simulation over {seconds}.", reasons,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.documents import FitDocument, finite
-from experiments.judge import LEAST_PART, PARTS_TOLD, number, source_words
+from experiments.judge import LEAST_PART, PARTS_TOLD, number, sentence_of, source_words
 from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, ROW_IN, draw, finish, name_rows
 from experiments.reports.html import Picture, Section, Table
 
@@ -48,7 +48,7 @@ def budget_section(fit: FitDocument) -> Section | None:
         return None
     text = ["Each bar is the variance of a parameter, as the sum of its parts. Noise and scatter between runs come "
             "from the runs. All else are tolerances, which rig.toml states under [tolerance], or which have a default.",
-            *(f"{line[:1].upper()}{line[1:]}." for line in budget_lines(fit))]
+            *map(sentence_of, budget_lines(fit))]
     return Section("What the intervals consist of", text, [table],
                    [Picture(_bars(fit), "Share of each source in the variance of each parameter.")])
 

@@ -13,7 +13,7 @@ from msgspec import UNSET
 from estimator.diagnosis import Diagnosis
 from estimator.signals import angle_column
 from experiments.documents import DiagnosisDocument, NamedCause, finite, split_key
-from experiments.judge import Files
+from experiments.judge import VERDICTS, Files
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
     error_bars,
@@ -68,8 +68,7 @@ def write_diagnosis(path: Path | str, found: DiagnosisDocument, kept: Diagnosis 
 
     Raises `InputError` where `path` cannot be written.
     """
-    head = found.headline.title
-    write_result(path, found, f"Diagnosis{' of ' * bool(found.model)}{found.model}: {head[:1].lower()}{head[1:]}",
+    write_result(path, found, f"Diagnosis{' of ' * bool(found.model)}{found.model}: {VERDICTS[found.verdict][1]}",
                  confirm_words(found), diagnosis_sections(found, kept), files)
 
 

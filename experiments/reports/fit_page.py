@@ -21,6 +21,7 @@ from experiments.judge import (
     number,
     open_torque,
     residual_tests,
+    sentence_of,
     torque_fit,
 )
 from experiments.reports.budget import budget_section
@@ -153,10 +154,8 @@ def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolAr
         text += f", {float(np.sqrt(np.mean(left**2))):.3g} {force} where dry friction says what it is"
     if driven:
         text += f"; fit {torque_fit(result, j, [path]):.1f} %" + (" there" if unknown.any() else "")
-    text += "."
-    if unknown.any():
-        text += " Near rest the model's torque is not known: dry friction may hold the joint against any."
-    return text
+    return text + (". Near rest the model's torque is not known: dry friction may hold the joint against any."
+                   if unknown.any() else ".")
 
 
 def _benchmark_torque(benchmark: FitResult | None, path: Trajectory) -> FloatArray | None:
@@ -209,11 +208,9 @@ def _noise(fit: FitDocument) -> Section:
         return Section("Noise levels", [f"{fit.method} neither uses nor estimates any."])
     return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
                    [Table(["channel", "1 sigma", "unit"], rows, {1})],
-                   notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(fit)])
+                   notes=[*map(sentence_of, run_noise_lines(fit))])
 
 
 def _limits(fit: FitDocument) -> Section:
-    text: Sequence[str] = (["This data does not determine:"] if fit.undetermined
-                           else ["This data determines every parameter of the model."])
-    notes = [*fit.undetermined, *(f"Assumed: {a}" for a in fit.assumptions)]
-    return Section("What is not determined, and what is assumed", text, notes=notes)
+    return Section("What is not determined, and what is assumed", notes=[
+        *(f"Not determined: {one}." for one in fit.undetermined), *map(sentence_of, fit.assumptions)])

@@ -6,7 +6,7 @@ import math
 import re
 
 from experiments.documents import FitDocument, finite
-from experiments.judge import Files, counted, number, with_names
+from experiments.judge import Files, number, with_names
 from experiments.reports.budget import budget_lines
 from experiments.reports.html import Table
 from experiments.reports.prior_knowledge import prior_sentence, prior_table
@@ -98,8 +98,7 @@ def fit_text(fit: FitDocument) -> str:
     """Text after a fit, below its first lines."""
     lines = [*([prior_sentence(fit), ""] if fit.prior else []),
              f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
-             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
-             + ("converged" if fit.converged else "NOT CONVERGED"), "",
+             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s", "",
              parameter_table(fit).text, ""]
     if fit.noise:
         lines.append("noise (1 sigma): " + ", ".join(
@@ -115,9 +114,8 @@ def fit_text(fit: FitDocument) -> str:
     lines += friction_lines(fit)
     lines += agreement_lines(fit)
     lines += opinion_lines(fit)
-    lines += [f"not determined by this data: {name}" for name in fit.undetermined]
-    lines += [f"warning: {text}" for text in counted(fit.warnings)]
     lines += [f"assumed: {text}" for text in fit.assumptions]
+    lines += [f"not determined by this data: {name}" for name in fit.undetermined]
     if fit.measure_next is not None and fit.measure_next.text:
         lines.append(f"for narrower intervals: {fit.measure_next.text}")
     return "\n".join(lines)
@@ -125,4 +123,4 @@ def fit_text(fit: FitDocument) -> str:
 
 def whole_fit_text(fit: FitDocument, files: Files | None = None) -> str:
     """Everything that `legid fit` prints. The next step names `files`."""
-    return f"{with_names(fit.trust.text, files)}\n\n{fit_text(fit)}"
+    return f"{with_names(fit.headline.text, files)}\n\n{fit_text(fit)}"

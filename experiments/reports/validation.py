@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
 from experiments.documents import RunFit, Segment, ValidationDocument, finite
-from experiments.judge import Files, with_names
+from experiments.judge import Files, sentence_of, with_names
 from experiments.models import Model
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
@@ -67,7 +67,7 @@ def validation_text(found: ValidationDocument) -> str:
 
 def whole_validation_text(found: ValidationDocument, files: Files | None = None) -> str:
     """Text after `legid validate`. The next step names `files`."""
-    return "\n".join([with_names(found.trust.text, files), "", validation_text(found),
+    return "\n".join([with_names(found.headline.text, files), "", validation_text(found),
                       horizons_text(found.horizons), *([walk_text(found.walk)] if found.walk else [])])
 
 
@@ -138,7 +138,7 @@ def write_validation(path: Path | str, found: ValidationDocument, where: str, mo
     count = len(found.fit_percent)
     fitted = "" if model is None else (f"{model.mechanism.model}, fitted by {model.provenance.method} to "
                                        f"{', '.join(model.provenance.runs)}, ")
-    told = f"{fitted}simulated against {count} run{'s' * (count != 1)}."
-    write_result(path, found, f"Validation of {where}", f"{told[:1].upper() if model is None else told[:1]}{told[1:]}",
+    told = sentence_of(f"{fitted}simulated against {count} run{'s' * (count != 1)}")
+    write_result(path, found, f"Validation of {where}", told,
                  fold(validation_section(found, table), horizons_section(found.horizons) if found.horizons else None,
                       walk_section(found.walk) if found.walk else None), files)

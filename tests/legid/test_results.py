@@ -5,6 +5,7 @@ import sys
 import time
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,3 +103,14 @@ def test_columns_of_structs_lead_below_and_rename_and_open_intervals() -> None:
         "run": [1, 2, 3], "name": ["a", "b", "c"], "low": [1.0, None, None], "high": [2.0, None, None],
         "of": ["N m", None, "N m"]}
     assert columns([], "1.ci95 unit") == {"low": [], "high": [], "unit": []}
+
+
+def test_rows_of_a_result_print_as_a_table(tmp_path: Path) -> None:
+    """`print(result.parameters)` was a tuple of structs on one line."""
+    found = legid.FitResult.of(synthetic_fit(), mechanism_settings(RIG))
+    found.to_json(tmp_path / "fit.json")
+    for one in (found, legid.FitResult.read(tmp_path / "fit.json")):
+        head, rule, first, *others = str(one.parameters).splitlines()
+        assert head.split()[:3] == ["name", "meaning", "unit"] and set(rule) == {"-", " "} and len(others) == 8
+        assert first.startswith("beta1") and f"{found.beta[0]:.4g}" in first and "(" not in first
+        assert isinstance(one.parameters, tuple) and one.parameters[0].name == "beta1"

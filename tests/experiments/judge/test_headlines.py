@@ -11,7 +11,8 @@ import pytest
 from estimator import Combination, Finding, FitResult, RunAgreement
 from estimator.result import Budget, BudgetPart, OmittedEffect
 from experiments.documents import FitDocument
-from experiments.judge import Headline, Trust, counted, fit_trust, with_fit_trust
+from experiments.judge import Headline, Trust, fit_trust, with_fit_trust
+from experiments.judge.headline import counted
 from experiments.models import TrustValues
 from experiments.reports import fit_sections
 from experiments.reports.fit_text import whole_fit_text

@@ -138,7 +138,7 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     found = fit_trust(noisy)
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
     box = found.headline
-    assert f"{box.title}." == found.sentence and list(box.lines) == list(found.reasons)
+    assert box.title == found.sentence and list(box.lines) == list(found.reasons)
 
 
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
