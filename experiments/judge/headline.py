@@ -43,7 +43,7 @@ class Headline:
 
     @property
     def reasons(self) -> list[str]:
-        """What stands below the title, one line each."""
+        """Lines below the title: the answer, then the warnings."""
         return [*self.lines, *(f"Warning: {text}" for text in counted(self.warnings))]
 
     @property

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from estimator import Combination, Finding, FitResult, RunAgreement
+from estimator import Combination, Finding, FitResult, Method, RunAgreement
 from estimator.result import Budget, BudgetPart, OmittedEffect
 from experiments.documents import FitDocument
 from experiments.judge import Headline, Trust, fit_trust, with_fit_trust
@@ -20,6 +20,7 @@ from experiments.reports.html import render_page
 from tests.support.fits import document_of, synthetic_fit
 
 PLAIN = synthetic_fit()
+METHODS: tuple[Method, ...] = ("mle", "wls")
 NOISE = Finding("warning", "noise_share", "40 % of the torque's spread counts as noise")
 RIG = Finding("doubt", "rig_contradiction", "the rig file contradicts a run: r was recorded with x = 1")
 AGAINST = {
@@ -61,7 +62,7 @@ def fits() -> Iterator[FitResult]:
     for agree, motion, open_, known, told, omitted, method in product(
             ("none", "agree", "little", "beta9"), (path, slow, rough), ((), one), (None, budget),
             ((), (NOISE,), (RIG,), (Finding("fault", "columns", "the columns cannot be right"),)),
-            ((), (OmittedEffect("gyro_scale", 1e-20, "beta1", 5.8),)), ("mle", "wls")):
+            ((), (OmittedEffect("gyro_scale", 1e-20, "beta1", 5.8),)), METHODS):
         yield replace(PLAIN, agreement=agreement(agree), trajectories=(motion,), undetermined=open_, budget=known,
                       findings=told, omitted=omitted, method=method, converged=True)
     yield replace(PLAIN, converged=False)
@@ -70,13 +71,13 @@ def fits() -> Iterator[FitResult]:
 def lines_of(fit: FitDocument) -> list[str]:
     """What text and page of a fit say in sentences."""
     page = [*fit.headline.told]
-    for section in fit_sections(replace_nothing(fit), None):
+    for section in fit_sections(without_budget(fit), None):
         page += [*section.paragraphs, *section.notes]
     texts = [line.removesuffix(".") for line in (*whole_fit_text(fit).splitlines(), *page)]
     return [line for line in dict.fromkeys(texts) if line]
 
 
-def replace_nothing(fit: FitDocument) -> FitDocument:
+def without_budget(fit: FitDocument) -> FitDocument:
     """The same without its budget, whose figure takes a second."""
     return FitDocument(**{name: getattr(fit, name) for name in fit.__struct_fields__ if name != "budget"})
 

@@ -248,7 +248,7 @@ def test_axes_have_different_marks_whatever_the_size_of_the_values(tmp_path: Pat
         assert len(set(marks)) == len(marks) >= 3, marks
 
 
-def test_a_figure_stays_beside_a_table_only_where_both_have_room(tmp_path: Path, browser: Browser) -> None:
+def test_a_figure_shares_a_row_with_a_table_only_if_both_have_room(tmp_path: Path, browser: Browser) -> None:
     """A table of numbers that do not wrap ran under the figure next to it."""
     header = ["parameter", *["95 % interval"] * 4, "meaning"]
     table = Table(header, [["torque_offset_1", *["-0.123456 .. 0.123456"] * 4, "reflected inertia"]], range(1, 5))
