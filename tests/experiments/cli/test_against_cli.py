@@ -113,7 +113,7 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, shell: Shell) -> None:
     page = tmp_path / "page.html"
     shell("compare", before, after, "--rig", RIG, "--json", out, "--html", page)
     said = shell.out
-    assert said.startswith("Different: torque_delay, delay 0.0") and " s.\n\nFrom before to after:" in said
+    assert said.startswith("Different: torque_delay, delay 0.0") and "\n\nFrom before to after:" in said
     found = json.loads(out.read_text())
     (pair,), files = found["pairs"], found["provenance"]["runs"]
     assert found["schema"] == "legid.sessions/1" and len(files) == 4
