@@ -46,7 +46,7 @@ from experiments.models import load_model as load_model
 from experiments.models import save_model as save_model
 from experiments.provenance import source_of
 from experiments.rig import ChosenRig
-from experiments.session import load_runs, prepare
+from experiments.session import load_runs, prepare, with_terms_of
 from experiments.workflows import (
     SessionPair,
     as_reference,
@@ -61,7 +61,6 @@ from experiments.workflows import (
     tune_runs,
     validate_in_mujoco,
     validate_prepared,
-    with_reference_terms,
 )
 from legid.changes import Change, Sessions
 from legid.comparisons import Comparison
@@ -167,7 +166,7 @@ def validate(model: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: 
     if other is not None and other.model.mechanism.model != one.mechanism.model:
         raise InputError(other.where, f"is a {other.model.mechanism.model}, not a {one.mechanism.model}",
                          "give a model of the same mechanism")
-    prepared = prepare(given, known.rig, sensors=sensors, beta=np.array(one.beta))
+    prepared = prepare(given, known.rig, sensors=sensors, model=one)
     files = sources_of(given)
     found = validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s), True)
     if simulator == "mujoco":
@@ -206,7 +205,7 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     if against is not None:
         return _change_since(given, against, known)
     before = None if reference is None else as_model(reference, "reference")
-    prepared = prepare(given, with_reference_terms(known.rig, before and before.model), fixed=fixed)
+    prepared = prepare(given, with_terms_of(known.rig, before and before.model), fixed=fixed)
     values = None if before is None else reference_values(before.model, before.where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
     return Diagnosis.made_from(found, prepared, given, known.rig, origin_from(

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from daq import Dataset
 from experiments.documents import ComparisonDocument
 from experiments.judge import Comparison as Found
-from experiments.judge import horizon_text
 from experiments.provenance import Origin
-from experiments.reports import comparison_text, write_comparison
-from legid.tables import Shown, columns, frame, html_table, or_inf, paragraphs
+from experiments.reports import comparison_text, horizon_errors_table, write_comparison
+from legid.tables import Shown, columns, frame, or_inf, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +67,4 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
         return comparison_text(self)
 
     def _repr_html_(self) -> str:
-        rows = [[horizon_text(e.length_s), e.column, *("diverged" if x is None else f"{x:.3g}" for x in (e.a, e.b)),
-                 e.better or ""] for e in self.errors]
-        return paragraphs(self.headline.told) + html_table(
-            ["horizon", "sensor", "rms error of A", "of B", "better"], rows)
+        return paragraphs(self.headline.told) + tables_html(horizon_errors_table(self))

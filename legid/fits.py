@@ -13,9 +13,9 @@ from estimator import FitResult as Estimate
 from estimator import Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
-from experiments.judge import check_sound
+from experiments.judge import Files, check_sound
 from experiments.provenance import Origin
-from experiments.reports import agreement_lines, parameter_table, samples_text, whole_fit_text, write_fit
+from experiments.reports import fit_summary, parameter_table, whole_fit_text, write_fit
 from experiments.workflows import Fitted
 from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
@@ -109,14 +109,14 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         """Raises `WorkError` for a fit that did not converge, or that knows nothing."""
         check_sound(self.estimate, for_model=False)
 
-    def text(self) -> str:
-        """Everything that `legid fit` prints."""
-        return whole_fit_text(self)
+    def text(self, files: Files | None = None) -> str:
+        """Everything that `legid fit` prints. The next step names `files`."""
+        return whole_fit_text(self, files)
 
-    def page(self, path: Path | str) -> None:
+    def page(self, path: Path | str, files: Files | None = None) -> None:
         """Write the page of `legid fit --html`; that of a document of a file has no motion. Raises `InputError`."""
         if "made" in vars(self):
-            write_fit(path, self, [run.name for run in self.fitted.setup.datasets], self.estimate)
+            write_fit(path, self, [run.name for run in self.fitted.setup.datasets], self.estimate, files)
         else:
             write_fit(path, self, [Path(run.file).name for run in self.provenance.runs] if self.provenance else ())
 
@@ -142,10 +142,4 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return f"{self.trust}\n\n{parameter_table(self).text}"
 
     def _repr_html_(self) -> str:
-        state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
-        notes = [f"This data does not determine {name}." for name in self.undetermined]
-        notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
-        notes += [f"Warning: {text}" for text in self.warnings]
-        return (paragraphs([str(self.trust), f"{self.model}, {self.method}, sensors {self.sensors}, "
-                            f"{samples_text(self)}: {state}."])
-                + tables_html(parameter_table(self)) + paragraphs(notes))
+        return paragraphs([*self.headline.told, fit_summary(self)]) + tables_html(parameter_table(self))

@@ -17,9 +17,7 @@ from experiments.excite import Design, design_text
 from experiments.models import effects_document, effects_text
 from experiments.provenance import Origin
 from experiments.reports import (
-    GUESS_HEADER,
     TUNING_HEADER,
-    guess_rows,
     guess_section,
     guess_table,
     guess_verdict,
@@ -27,13 +25,14 @@ from experiments.reports import (
     tuning_text,
     write_page,
 )
-from legid.tables import Shown, columns, frame, html_table, paragraphs
+from legid.tables import Shown, columns, frame, html_table, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from daq import Rig
+    from experiments.reports import Table
 
 
 class Listing(Shown, ABC):
@@ -74,6 +73,11 @@ class Guess(Shown):
         """Points to be looked at before the guess is used."""
         return tuple(self.found.warnings)
 
+    @property
+    def table(self) -> Table:
+        """One row a column."""
+        return guess_table(self.found)
+
     def write(self, path: Path | str) -> None:
         """Write the map as COLUMNS.toml. Raises `InputError` where that place cannot be written."""
         write_file(Path(path), guess_text(self.found.columns, self.found.notes).encode(), changed=True)
@@ -85,15 +89,13 @@ class Guess(Shown):
 
     def to_frame(self) -> DataFrame:
         """One row a column: the file's column, unit, sign, reason. Raises `WorkError` without pandas."""
-        rows = guess_rows(self.found)
-        return frame({name: [row[k] for row in rows] for k, name in enumerate(GUESS_HEADER)}, GUESS_HEADER[0])
+        return frame(dict(zip(self.table.header, zip(*self.table.rows))), self.table.header[0])
 
     def __str__(self) -> str:
-        return f"{guess_verdict(self.found).title}\n\n{guess_table(self.found)}"
+        return "\n".join([*guess_verdict(self.found).told, "", self.table.text])
 
     def _repr_html_(self) -> str:
-        notes = [f"Warning: {text}" for text in (*self.found.unexplained, *self.found.warnings)]
-        return html_table(GUESS_HEADER, guess_rows(self.found)) + paragraphs(notes)
+        return tables_html(self.table) + paragraphs(guess_verdict(self.found).told)
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,7 +11,7 @@ from experiments.provenance import Origin
 from experiments.reports import RunLine, runs_document, runs_text
 from experiments.workflows import refits_document, refits_text, verdict
 from legid.listings import Listing
-from legid.tables import frame
+from legid.tables import frame_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -39,7 +39,7 @@ class Fits(Listing):
         good = [fit for fit in self.fits if "error" not in fit]
         rows = [{"run": fit["run"], "converged": fit["converged"],
                  **{p["name"]: finite(p["value"]) for p in fit["parameters"]}} for fit in good]
-        return frame({name: [row[name] for row in rows] for name in (rows[0] if rows else ("run",))}, "run")
+        return frame_of(rows, "run")
 
     def __str__(self) -> str:
         return refits_text(self.fits)
@@ -64,8 +64,7 @@ class RunList(Listing):
 
     def to_frame(self) -> DataFrame:
         """One row a run with the keys of the JSON. Raises `WorkError` without pandas."""
-        rows = self.document["runs"]
-        return frame({name: [row[name] for row in rows] for name in (rows[0] if rows else ("file",))}, "file")
+        return frame_of(self.document["runs"], "file")
 
     def __str__(self) -> str:
         return runs_text(self.lines) if self.lines else ""

@@ -60,6 +60,11 @@ def frame(columns: Mapping[str, Any], index: str | None = None) -> DataFrame:
     return table if index is None else table.set_index(index)
 
 
+def frame_of(rows: Sequence[Mapping[str, Any]], index: str) -> DataFrame:
+    """`rows`, which have the same keys, as a DataFrame. Raises `WorkError` where pandas is not installed."""
+    return frame({name: [row[name] for row in rows] for name in (rows[0] if rows else (index,))}, index)
+
+
 def columns(rows: Sequence[Any], keys: str) -> dict[str, list[Any]]:
     """Values of each of `keys`, with spaces between them, in `rows`: structs of a document, or tuples of such.
 

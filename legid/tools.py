@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from daq import Column, InputError
 from daq import Dataset as PlainDataset
@@ -27,6 +26,7 @@ from experiments.exchange import (
     load_to_convert,
     read_imported,
     require_scales,
+    with_scales,
 )
 from experiments.excite import Band, Bench, Search, design, first_plan
 from experiments.models import Model, range_note_of
@@ -55,14 +55,18 @@ from legid.results import Dataset, origin_from
 from legid.run_lists import Fits, RunList
 
 
-def guess(file: Path | str, rate_hz: float | None = None) -> Guess:
+def guess(file: Path | str, rate_hz: float | None = None, scale: Mapping[str, float] | None = None) -> Guess:
     """The columns of another program's file with units and signs, by names, gravity and the equation of motion.
 
-    `legid.read(file, guess.columns)` is then the run. A file without times has `rate_hz` rows a second. Raises
-    `InputError` for a file that cannot be read, or whose columns no name and no physics tells apart.
+    `legid.read(file, guess.columns)` is then the run. A file without times has `rate_hz` rows a second; `scale` is as
+    in `read`. A `UserWarning` says each point to be looked at. Raises `InputError` for a file that cannot be read, or
+    whose columns no name and no physics tells apart.
     """
     _check_rate(rate_hz)
-    return Guess(guess_map(read_imported(file), rate_hz=rate_hz), Path(file).name)
+    found = guess_map(read_imported(file), rate_hz=rate_hz, scale=scale)
+    for text in (*found.unexplained, *found.warnings):
+        warnings.warn(text, stacklevel=2)
+    return Guess(found, Path(file).name)
 
 
 def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = None, *, rig: RigLike | None = None,
@@ -88,7 +92,7 @@ def export(what: ModelLike | PlainDataset, out: Path | str, to: str | None = Non
     if not isinstance(what, PlainDataset) and kind in OF_MODELS:
         model, where, _ = as_model(what, "the model")
         if kind == "mujoco":
-            runs = prepare(given, runs_and_rig(given, rig)[1].rig, beta=np.array(model.beta)) if given else None
+            runs = prepare(given, runs_and_rig(given, rig)[1].rig, model=model) if given else None
             return export_folder(model, where, Path(out), runs, samples, seed)
         return export_file(kind, model, where, out, None if rig is None else as_rig(rig).rig.limits)
     assert not isinstance(what, Model)
@@ -112,12 +116,13 @@ def _export_run(what: PlainDataset | Path | str, kind: str, out: Path | str, rig
 
 
 def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[str, Any]], rate_hz: float | None = None,
-         rig: RigLike | None = None) -> Dataset:
+         rig: RigLike | None = None, scale: Mapping[str, float] | None = None) -> Dataset:
     """A file of another program as a run: columns (n,) in SI units on a uniform grid of `rate_hz`.
 
     `columns` maps the contract's columns to the file's, as a COLUMNS.toml or its table `[columns]` as a dictionary:
     `{"q2_rad": {"name": "angle", "unit": "deg"}}`. The default of `rate_hz` is the slowest signal's. A `rig` makes the
-    run one that `fit` takes without another word. Raises `InputError` naming file and column.
+    run one that `fit` takes without another word. `scale` has factors by column, such as {"tau2_nm": 0.12} for a log in
+    amperes: N m per A, gear included. Raises `InputError` naming file and column.
     """
     _check_rate(rate_hz)
     if isinstance(columns, Mapping):
@@ -127,6 +132,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Column | Mapping[s
             raise InputError("columns", str(error), "see docs/exchange.md") from None
     else:
         known = load_map(columns)
+    known = with_scales(known, scale or {})
     require_scales(known, "columns")
     run = apply_map(read_imported(file), known, rate_hz)
     if rig is None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from estimator.prediction import Validation as PlainValidation
 from estimator.prediction import segments_as
 from experiments.documents import ValidationDocument, finite
+from experiments.judge import Files
 from experiments.models import Model
 from experiments.provenance import Origin
 from experiments.reports import segment_table, whole_validation_text, write_validation
@@ -85,22 +86,19 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings to be read before the result: runs left out, flags of the others, runs that were fitted."""
-        made = self._measured()
-        fitted = f"{made.where} was fitted to {', '.join(self.fitted_to)}, which therefore do not validate it; give " \
-            "other runs"
-        return (*made.report.prepared.warnings, *([fitted] if self.fitted_to else []))
+        """Warnings to be read before the result: runs left out, flags of the others."""
+        return tuple(self._measured().report.prepared.warnings)
 
-    def text(self) -> str:
-        """Everything that `legid validate` prints."""
+    def text(self, files: Files | None = None) -> str:
+        """Everything that `legid validate` prints. The next step names `files`."""
         compared = compared_text(self._measured().report)
-        return (f"{compared}\n\n" if compared else "") + whole_validation_text(self)
+        return (f"{compared}\n\n" if compared else "") + whole_validation_text(self, files)
 
-    def page(self, path: Path | str) -> None:
+    def page(self, path: Path | str, files: Files | None = None) -> None:
         """Write the page of `legid validate --html`; of a file, without the motion. Raises `InputError`."""
         if "made" in vars(self):
             made = self._measured()
-            write_validation(path, self, made.where, made.model, made.report.table)
+            write_validation(path, self, made.where, made.model, made.report.table, files)
         else:
             source = self.provenance.model if self.provenance else None
             write_validation(path, self, source.file if source else "a model")

@@ -24,6 +24,8 @@ from estimator.prediction import Validation, validations_of
 from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
 from experiments.documents import errors_of, pieces_of
+from experiments.judge import model_of
+from experiments.models import mechanism_settings
 from experiments.session import Setup, load_runs, prepare
 from experiments.workflows import diagnose_prepared, fit_runs, model_of_fit, predict_setup
 
@@ -233,7 +235,8 @@ def _fit(task: FitTask, home: Path) -> Fitted:
         return Fitted(task, result, refusal)
 
     def simulate() -> list[Validation]:
-        prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, beta=result.beta)
+        model = model_of(result, mechanism_settings(rig), result.hold, task.runs)
+        prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, model=model)
         return validations_of(predict_setup([model_of_fit(result)], prepared.setup))
 
     validations, problem = _attempt(simulate)

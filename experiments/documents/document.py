@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import msgspec
-from msgspec import UNSET, Meta, Struct, UnsetType
+from msgspec import UNSET, Meta, Struct, UnsetType, structs
 
 from daq import InputError, read_bytes
-from experiments.console import write_json
+from experiments.console import text_table, write_json
 from experiments.provenance import Origin
 from experiments.session import SetAside
 
@@ -33,11 +33,38 @@ def finite(value: Number) -> float:
     return float("nan") if value is None else value
 
 
+def _cell(x: Any) -> str:
+    """A value, or several, as text."""
+    if isinstance(x, Struct):
+        x = structs.astuple(x)
+    if isinstance(x, tuple):
+        return ", ".join(map(_cell, x))
+    return f"{x:.4g}" if isinstance(x, float) else "" if x is None or x is UNSET else str(x)
+
+
+class Rows(tuple[Any, ...]):
+    """Structs that print as a table."""
+
+    def __str__(self) -> str:
+        return text_table(self[0].__struct_fields__, [[*map(_cell, structs.astuple(one))] for one in self])
+
+    __repr__ = __str__
+
+
 class Document(Struct, kw_only=True):
-    """A JSON document: fields are keys, unknown keys of a file are ignored, keys with a default may be missing."""
+    """A JSON document: fields are keys, unknown keys of a file are ignored, keys with a default may be missing.
+
+    Its rows print as a table.
+    """
 
     schema: str | UnsetType = UNSET
     """Stands first in a file; a part of a document has none."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and value and isinstance(value[0], Struct):
+                setattr(self, name, Rows(value))
 
     @classmethod
     def read(cls, path: Path | str) -> Self:

@@ -8,6 +8,7 @@ from .column_map import map_text as map_text
 from .column_map import require_scales as require_scales
 from .column_map import runs_in as runs_in
 from .column_map import unscaled as unscaled
+from .column_map import with_scales as with_scales
 from .exports import export_run as export_run
 from .guess import guess_map as guess_map
 from .guess_result import Guess as Guess

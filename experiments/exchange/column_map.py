@@ -88,6 +88,14 @@ def require_scales(columns: ColumnMap, where: str) -> None:
                          "torque out of the map")
 
 
+def with_scales(columns: ColumnMap, scale: Mapping[str, float]) -> dict[str, Column]:
+    """`columns` with the factors `scale`, by column. Raises `InputError` for one of no column."""
+    for name in scale:
+        if name not in columns:
+            raise InputError("scale", f"{name} is no column of the map", f"it has {', '.join(columns)}")
+    return {name: structs.replace(column, scale=scale.get(name, column.scale)) for name, column in columns.items()}
+
+
 def unscaled(columns: ColumnMap) -> tuple[str, str] | None:
     """The first torque in amperes or counts without a scale, and its unit; None where there is none."""
     return next(((name, column.unit) for name, column in columns.items()

@@ -18,14 +18,14 @@ which nothing depends.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
 
 from daq import Column, InputError
-from experiments.exchange.column_map import apply_map, only_time
+from experiments.exchange.column_map import apply_map, only_time, with_scales
 from experiments.exchange.guess_chain import find_chain, of_joints, same_joint
 from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_loads, with_rates
 from experiments.exchange.guess_joint import find_joint
@@ -58,13 +58,14 @@ MADE_OF_OTHERS = 1e-4
 
 
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float | None = None,
-              joints: Sequence[str] = ()) -> Guess:
+              joints: Sequence[str] = (), scale: Mapping[str, float] | None = None) -> Guess:
     """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain.
 
     A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
     more, or with two torques, is a chain's whose joints all have encoders. Without torques, angles that follow
     commands are joints under position control. `joints` names those of many joints that are taken, a chain's from its
-    base on. A file without times has `rate_hz` rows a second. Raises `InputError`.
+    base on. A file without times has `rate_hz` rows a second. `scale` has known factors by column.
+    Raises `InputError`.
     """
     if rate_hz is not None:
         imported = _timed(imported, rate_hz)
@@ -74,8 +75,10 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81, rate_hz: float
     guess = _guess_one(one, gravity_mps2)
     columns = {name: structs.replace(column, name=column.name + cell, minus=column.minus and column.minus + cell)
                for name, column in guess.columns.items()}
-    return Guess(columns, guess.notes, [*copies, *guess.warnings, *layout_warnings(one, guess.columns)],
-                 guess.unexplained, guess.curves, run=apply_map(one, guess.columns))
+    told = [text for text in (*copies, *guess.warnings, *layout_warnings(one, guess.columns))
+            if not any(text.startswith(f"the scale of {name} does") for name in scale or {})]
+    return Guess(with_scales(columns, scale or {}), guess.notes, told, guess.unexplained, guess.curves,
+                 run=apply_map(one, guess.columns))
 
 
 def _guess_one(imported: ImportedFile, gravity_mps2: float) -> GuessedMap:

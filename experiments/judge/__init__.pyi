@@ -1,4 +1,5 @@
 from .agreement import WIDENED as WIDENED
+from .agreement import disputed as disputed
 from .budget import LEAST_PART as LEAST_PART
 from .budget import PARTS_TOLD as PARTS_TOLD
 from .budget import parts_of as parts_of
@@ -26,6 +27,7 @@ from .headline import VERDICTS as VERDICTS
 from .headline import Headline as Headline
 from .headline import Level as Level
 from .headline import answer_words as answer_words
+from .headline import sentence_of as sentence_of
 from .headline import verdict_title as verdict_title
 from .measure import measure_sentence as measure_sentence
 from .next_steps import Files as Files
@@ -41,7 +43,6 @@ from .opinion import disagreement as disagreement
 from .opinion import with_half_width as with_half_width
 from .residuals import Correlation as Correlation
 from .residuals import fit_percent as fit_percent
-from .residuals import friction_level as friction_level
 from .residuals import open_torque as open_torque
 from .residuals import residual_tests as residual_tests
 from .residuals import torque_fit as torque_fit

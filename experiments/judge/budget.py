@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from estimator import FitResult
-from estimator.fitting import next_measurement
 
 PARTS_TOLD = 3
 """Sources that a sentence names, ..."""
@@ -39,7 +38,7 @@ def parts_of(result: FitResult, k: int) -> dict[str, float]:
 
 
 def precision(result: FitResult) -> str:
-    """Precision of the leading parameter, its largest parts, and what to calibrate first; empty without a budget."""
+    """Precision of the leading parameter and its largest parts; empty without a budget."""
     k = leading(result)
     if result.budget is None or k is None:
         return ""
@@ -48,15 +47,10 @@ def precision(result: FitResult) -> str:
     told = [f"{source_words(source)} {_percent(part / value)}" for source, part in parts.items()
             if part > LEAST_PART * half]
     noise = [f"noise {_percent(parts['noise'] / value)}"] if parts["noise"] <= LEAST_PART * half else []
-    advice = next_measurement(result)
-    first = f". Calibrate the {source_words(advice.name)} first" if advice is not None and advice.source else ""
     if half > value:  # a share of more than the whole says nothing
-        largest = ", ".join(source_words(source) for source, part in [*parts.items()][:PARTS_TOLD]
-                            if part > LEAST_PART * half)
-        return (f"{result.mechanism.names[k]} is not known: its interval is wider than its value, most by {largest}"
-                f"{first}")
+        return f"{result.mechanism.names[k]} is not known: its interval is wider than its value"
     return (f"{result.mechanism.names[k]} is known to {_percent(half / value)} "
-            f"({', '.join([*told[:PARTS_TOLD], *noise])}){first}")
+            f"({', '.join([*told[:PARTS_TOLD], *noise])})")
 
 
 def _percent(share: float) -> str:

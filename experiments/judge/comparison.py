@@ -92,8 +92,9 @@ def comparison_trust(found: Comparison) -> Trust:
     reasons = (*found.flags, *found.notes)
     if found.errors and all(e.ci95 is None and not e.better for e in found.errors):
         smaller = sum(e.b < e.a for e in found.errors)
-        return Trust("caution", "NOT DECIDED: these runs are too short for an interval; record ten seconds or more. "
-                     f"The error of B is smaller at {smaller} of {total} sensors and horizons.", reasons)
+        return Trust("caution", "NOT DECIDED: these runs are too short for an interval.",
+                     (f"The error of B is smaller at {smaller} of {total} sensors and horizons.", *reasons),
+                     "Record ten seconds or more")
     if wins["A"] and wins["B"]:
         parts = " and ".join(f"{name}{_of(files[name], name)} at {_places(wins[name])}" for name in NAMES)
         return Trust("caution", f"NEITHER is better throughout: {parts}.", reasons)
@@ -105,8 +106,8 @@ def comparison_trust(found: Comparison) -> Trust:
                     _ratio(best)) else "one of them diverged"
             return Trust("caution" if found.flags else "good",
                          f"{name} IS BETTER{_of(files[name], name)}: at {len(wins[name])} of {total} sensors and "
-                         f"horizons, the other at no more than chance allows. Largest difference: {_place(best)}, rms "
-                         f"error of B over A {told}.", reasons)
+                         "horizons, the other at no more than chance allows.",
+                         (f"Largest difference: {_place(best)}, rms error of B over A {told}.", *reasons))
     return Trust("caution", f"NEITHER is better: over {total} sensors and horizons, no more differences are "
                  "significant than chance allows.", reasons)
 

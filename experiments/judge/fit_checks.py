@@ -23,6 +23,9 @@ NEIGHBOURS = 4
 """Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
 GOOD_FIT, ROUGH_FIT = 90.0, 70.0
 """Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
+FEEDFORWARD = {GOOD_FIT: "good for torque feedforward within the fitted motion",
+               ROUGH_FIT: "good for rough torque feedforward only", -np.inf: "not good for torque feedforward"}
+"""Least fit of the model's torque [%] -> its use."""
 REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 LEAST_P = 1e-9
@@ -56,17 +59,17 @@ def _findings(result: FitResult) -> list[Finding]:
     apart, held = disagreement(result), within_budget(result)
     found = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
     if result.method in ("mle", "shooting"):
-        allowed = "; the tolerances in the intervals hold it" if held else \
-            f"; the intervals allow for what {units(result)} disagree about" if _disputes(result) else \
+        allowed = f"; the intervals allow for what {units(result)} disagree about" if disputed(result) else \
             "" if result.method == "shooting" else " and the intervals are too narrow"
-        found += [Finding("doubt", "torque_residual", f"the torque residual of joint {j} is autocorrelated ({r:.2f}; "
-                          f"limit {STRUCTURE:g}): the model is missing something{allowed}. Run legid diagnose")
-                  for j, r in _structure(result).items() if r > STRUCTURE]
+        if over := [f"joint {j} ({r:.2f})" for j, r in _structure(result).items() if r > STRUCTURE]:
+            found.append(Finding("doubt", "torque_residual", f"the torque residual of {', '.join(over)} is "
+                                 f"autocorrelated (limit {STRUCTURE:g}): the model is missing something{allowed}"))
         found += _sensor_findings(result)
         found += _repeating_torques(result)
         found += _omitted(result)
     if held:
-        found = [replace(one, role="fact") if one.kind in HELD else one for one in found]
+        found = [replace(one, role="fact", text="the tolerances in the intervals hold this: "
+                         f"{one.text.partition(': ')[0]}") if one.kind in HELD else one for one in found]
     found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
     found += _unknown(result)
     if result.undetermined:
@@ -88,17 +91,16 @@ def within_budget(result: FitResult) -> bool:
 
 def _facts(result: FitResult) -> list[Finding]:
     """What limits the use of the parameters."""
-    fits = "; ".join(f"torque of joint {j} {share:.1f} %" for j, share in torque_fits(result).items())
-    disputes, loose = _disputes(result), _loose(result)
-    return [*([Finding("fact", "torque_fit", f"Fit: {fits} ({GOOD_FIT:g} wanted)")] if fits else []),
-            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}: the next run "
-                       "may differ as much")]
-              if disputes else []),
+    fits = {} if result.undetermined else torque_fits(result)  # no model is made of what is not determined
+    told = ", ".join(f"{share:.1f} % at joint {j}" for j, share in fits.items())
+    use = next((use for least, use in FEEDFORWARD.items() if min(fits.values(), default=0.0) >= least), "")
+    disputes = ", ".join(result.mechanism.names[k] for k in disputed(result))
+    loose = _loose(result)
+    return [*([Finding("fact", "torque_fit", f"The model's torque fits to {told}: {use}")] if fits else []),
+            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}; the "
+                       "intervals allow for it")] if disputes else []),
             *([Finding("fact", "loose", f"Wide intervals: {', '.join(loose)}")] if loose else []),
-            Finding("fact", "not_shown", "No residual shows a wrong sensor scale: it changes the parameters instead. "
-                    "Calibrate the sensors"),
-            Finding("fact", "not_shown", "The accuracy of a simulation is not known yet. Run legid validate on other "
-                    "runs")]
+            Finding("fact", "not_shown", "No residual shows a wrong sensor scale: it changes the parameters instead")]
 
 
 def _impossible(result: FitResult) -> list[str]:
@@ -136,12 +138,11 @@ def _sensor_findings(result: FitResult) -> list[Finding]:
         found.append(Finding("doubt", "passive_joint", "the torque residual of a joint without a motor is "
                              f"{passive:.2g} N m, above the torque noise of the driven joint ({driven:.2g} N m): the "
                              "model or a sensor is wrong. Run legid diagnose"))
-    for name, residuals in residuals_of(result).items():
-        if not name.startswith("torque"):
-            far = float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
-            if far > STRONG:
-                found.append(Finding("doubt", "sensor_residual", f"the residual of {name} is autocorrelated "
-                                     f"({far:.2f}; limit {STRONG:g}). Run legid diagnose"))
+    far = {name: float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
+           for name, residuals in residuals_of(result).items() if not name.startswith("torque")}
+    if over := [f"{name} ({r:.2f})" for name, r in far.items() if r > STRONG]:
+        found.append(Finding("doubt", "sensor_residual", f"the residual of {', '.join(over)} is autocorrelated "
+                             f"(limit {STRONG:g})"))
     return found
 
 
@@ -164,7 +165,7 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
         size = float(np.sqrt(share * np.mean(e[:, j] ** 2)))
         if share > REPEATED and size > noise:
             found.append(Finding("doubt", "repeating_torque", f"an unmeasured torque of {size:.2g} N m (rms) at joint "
-                                 f"{j + 1} is a function of the state: the model lacks a term. Run legid diagnose"))
+                                 f"{j + 1} is a function of the state: the model lacks a term"))
     return found
 
 
@@ -186,20 +187,13 @@ def _omitted(result: FitResult) -> list[Finding]:
     more = f". So would {len(others)} other{'s' * (len(others) > 1)}" if others else ""
     return [Finding("doubt", "omitted_effect", f"the residuals look like {where}, which the model lacks "
                     f"(p {max(first.p_value, LEAST_P):.1g}); it would move {first.parameter} by "
-                    f"{first.half_widths:.1f} half widths of its interval{more}. Run legid diagnose")]
+                    f"{first.half_widths:.1f} half widths of its interval{more}")]
 
 
 def torque_fits(result: FitResult) -> dict[int, float]:
     """Driven joint, from 1 -> fit of the model's torque to the measured one [%]; without those that hardly move."""
     found = {j + 1: torque_fit(result, j) for j in result.mechanism.actuated} if result.trajectories else {}
     return {j: share for j, share in found.items() if np.isfinite(share)}
-
-
-def _disputes(result: FitResult) -> str:
-    """What runs disagree about, in words; empty where they agree."""
-    if result.agreement is None or not result.agreement.disagree:
-        return ""
-    return ", ".join(result.mechanism.names[k] for k in disputed(result)) or "the parameters"
 
 
 def _loose(result: FitResult) -> list[str]:

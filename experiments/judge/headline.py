@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +25,10 @@ CHANGES: dict[str, tuple[Level, str]] = {
 """Verdict of a change, the gravest last."""
 
 
+FIGURE = re.compile(r"(?<![\w.])\d[\d.e+-]*")
+"""A number that may differ between runs, and no part of a name."""
+
+
 @dataclass(frozen=True)
 class Headline:
     """The answer, what limits it, and the next step."""
@@ -37,16 +42,39 @@ class Headline:
     """The next step; empty without one."""
 
     @property
+    def reasons(self) -> list[str]:
+        """Lines below the title: the answer, then the warnings."""
+        return [*self.lines, *(f"Warning: {text}" for text in counted(self.warnings))]
+
+    @property
     def told(self) -> list[str]:
         """All of it, one line each."""
-        return [self.title, *self.lines, *(f"Warning: {text}" for text in self.warnings),
-                *([f"Next step: {self.action}"] if self.action else [])]
+        return [self.title, *self.reasons, *([f"Next step: {self.action}"] if self.action else [])]
+
+    @property
+    def text(self) -> str:
+        """The same for a terminal; without a title that the first line says in full."""
+        return "\n".join(self.told[bool(self.lines and not self.title.endswith(".")):])
+
+
+def counted(warnings: Iterable[str]) -> list[str]:
+    """The warnings; those that differ in their first word, the run, and in figures alone stand once, the runs
+    counted."""
+    alike = dict[str, list[str]]()
+    for text in dict.fromkeys(warnings):
+        alike.setdefault(FIGURE.sub("", text.partition(" ")[2]), []).append(text)
+    return [first + (f". Likewise in {len(more)} more: {', '.join(dict.fromkeys(text.split()[0] for text in more))}"
+                     if more else "") for first, *more in alike.values()]
+
+
+def sentence_of(text: str) -> str:
+    """`text` as a sentence; a name such as beta1 keeps its small letter."""
+    return f"{text if re.match(r'[a-z_]*[0-9]', text) else text[:1].upper() + text[1:]}."
 
 
 def verdict_title(verdict: Verdict) -> str:
     """The verdict of a diagnosis as a title."""
-    words = VERDICTS[verdict][1]
-    return f"{words[:1].upper()}{words[1:]}"
+    return VERDICTS[verdict][1].capitalize()
 
 
 def answer_words(probability: float | None, in_library: float | None) -> list[str]:

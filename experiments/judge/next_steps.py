@@ -30,6 +30,10 @@ SENSORS = {"gyro": "legid calibrate imu --rig RIG", "accel": "legid calibrate im
            "encoder": "legid doctor --rig RIG"}
 """Start of a channel that reads wrongly -> the command that checks it."""
 
+EACH = "Fit each run separately: legid fit RUN... --rig RIG --each"
+DIAGNOSE = "Find what the model lacks: legid diagnose RUN... --rig RIG --html diagnosis.html"
+VALIDATE = "Validate the model on new runs: legid validate MODEL.json NEW_RUN... --rig RIG"
+SIMULATE = "Simulate a plan: legid simulate MODEL.json --plan PLAN --out NEW_RUN.csv"
 FIT = "legid fit RUN... --rig RIG --model-out MODEL.json"
 ACTIONS: dict[Kind, str] = {
     "parameters": f"Fit the model to the new runs: {FIT}",
@@ -70,9 +74,9 @@ def with_names(step: str, files: Files | None) -> str:
 def next_step(found: Diagnosis) -> str:
     """One line: place, action and command."""
     if found.verdict == "fit_failed":
-        return "Fit each run separately: legid fit RUN... --rig RIG --each"
+        return EACH
     if found.verdict == "none":
-        return "Validate the model on new runs: legid validate MODEL.json NEW_RUN... --rig RIG"
+        return VALIDATE
     if found.verdict == "named":
         return ("Validate the extended model on new runs: legid diagnose RUN... --rig RIG --model-out MODEL.json, then "
                 "legid validate MODEL.json NEW_RUN... --rig RIG")
@@ -104,11 +108,11 @@ def _of_remainder(left: Remainder) -> str:
 def next_of_change(found: Change) -> str:
     """One line: what to do, and the command."""
     if found.verdict == "fit_failed":
-        return "Look at each run alone: legid fit RUN... --rig RIG --each"
+        return EACH
     if found.verdict == "no_change":
         return "Go on with the model that you have; more or longer runs show smaller changes"
     if found.verdict == "changed_unexplained":
-        return "Diagnose the new runs without the reference: legid diagnose RUN... --rig RIG --html PAGE"
+        return DIAGNOSE
     if found.verdict == "one_of":
         return APART
     return ACTIONS[found.causes[0].kind]

@@ -97,12 +97,6 @@ def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_
     return found
 
 
-def friction_level(result: FitResult, j: int) -> float:
-    """Level of the dry friction at joint `j`, from 0, as found; zero where the model has none."""
-    return sum(abs(float(level)) for p, level in zip(result.mechanism.parameters, result.beta)
-               if p.term == "coulomb" and p.at[0] == j)
-
-
 def torque_fit(result: FitResult, j: int, paths: Sequence[Trajectory] | None = None) -> float:
     """Fit [%] of the model's torque of joint `j`, from 0, to the measured one where the model says what it is."""
     paths = result.trajectories if paths is None else paths

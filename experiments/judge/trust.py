@@ -5,34 +5,42 @@ The thresholds stand here and in docs/trust.md, which says what they were held a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct, UnsetType, structs
 
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
-from experiments.judge.agreement import units
 from experiments.judge.budget import precision
 from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
-from experiments.judge.headline import Headline, Level
+from experiments.judge.headline import Headline, Level, sentence_of
+from experiments.judge.next_steps import DIAGNOSE, EACH, SIMULATE, VALIDATE
 from experiments.models import MechanismSettings, TrustValues
 
-HEADLINE = 130
-"""Most letters of a box's title; of a longer sentence it is the part before the colon."""
 NAMED = 2
 """Kinds of suspect results that the first line names."""
 IN_SHORT: dict[str, str] = {
     "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual is autocorrelated",
     "passive_joint": "a passive joint has a torque residual", "sensor_residual": "a sensor residual is autocorrelated",
     "sensor_scale": "a sensor's scale is wrong", "repeating_torque": "an unmeasured torque repeats",
-    "omitted_effect": "the residuals look like an effect that the model lacks", "prior": "the runs contradict [prior]",
-    "budget": "the budget is wider than a value", "undetermined": "these runs do not determine all parameters",
+    "omitted_effect": "the model seems to lack an effect", "prior": "the runs contradict [prior]",
+    "budget": "the budget is wider than a value", "undetermined": "not all are determined",
     "rig_contradiction": "the rig file contradicts a run"}
 """Kind of a suspect result -> its words in the first line; its own line has the figures."""
+FAULTS: dict[str, str] = {"impossible": "no mechanism has these parameters", "columns": "the columns cannot be right"}
+"""The same of faults; the first line has all of the others."""
+STEPS: dict[str, str] = {
+    "columns": "Check units, signs and order of the columns",
+    "impossible": "Check gravity and joints under [mechanism]",
+    "not_converged": EACH, "rig_contradiction": "Correct the rig file", "prior": "Check the values under [prior]",
+    "sensor_scale": "Calibrate that sensor: legid calibrate imu --rig RIG",
+    "undetermined": "Record fast and slow motion of every joint, or give a value that you know: legid fit RUN... "
+    "--rig RIG --fix NAME=VALUE",
+    "budget": "Calibrate what these intervals consist of, and write it under [tolerance]"}
+"""Kind of a fault or a suspect result -> next step, the first that is needed first; after others `DIAGNOSE`."""
 
 
 class Trust(Struct, frozen=True):
@@ -41,86 +49,62 @@ class Trust(Struct, frozen=True):
     level: Annotated[Level, Meta(description="good, caution or bad")]
     sentence: Annotated[str, Meta(description="the answer, and for what it holds")]
     reasons: Annotated[tuple[str, ...], Meta(description="one a line")] = ()
+    next_step: Annotated[str | UnsetType, Meta(description="what to do, and the command")] = UNSET
 
     def __str__(self) -> str:
         return self.sentence
 
     @property
-    def document(self) -> dict[str, Any]:
-        """For the JSON documents."""
-        return {"level": self.level, "sentence": self.sentence, "reasons": list(self.reasons)}
-
-    @property
     def headline(self) -> Headline:
-        """Its title is the part of a long sentence before the colon; the rest comes before the reasons."""
-        title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
-        return Headline(self.level, title, [*([_line(rest).removesuffix(".")] if rest else []), *self.reasons])
-
-    @property
-    def text(self) -> str:
-        """The sentence and its reasons, one a line."""
-        return "\n".join([self.sentence, *self.reasons])
+        """The same as the first lines of a result."""
+        return Headline(self.level, self.sentence, self.reasons, action=self.next_step or "")
 
 
 def fit_trust(result: FitResult) -> Trust:
-    """Trust in a fit, from its findings and those of `check_fit`: one short line, then one line for each reason.
+    """Trust in a fit, by its findings and those of `check_fit`. `validation_trust` judges free runs."""
+    torque, passive = torque_fits(result).values(), not result.mechanism.actuated
+    untested = f"the filters of {result.method} colour the residual" if result.method not in ("mle", "shooting") else \
+        "" if torque or passive else "the torque hardly changes"
+    return trust_by((*result.findings, *check_fit(result)), precision(result), untested,
+                    ", ".join(result.fixed) if passive else "", min(torque, default=GOOD_FIT) < GOOD_FIT)
 
-    `validation_trust` judges free runs.
+
+def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", scale: str = "", rough: bool = False
+             ) -> Trust:
+    """Trust in a fit by all that was found about it: one short line, a line for each reason, the next step.
+
+    - `known`: how well its leading parameter is known. `untested`: why no residual tests it; empty if some do.
+    - `scale`: parameters that were given where no torque was measured. `rough`: its torque fits to less than 90 %.
     """
-    findings = (*result.findings, *check_fit(result))
-    faults = [one for one in findings if one.role == "fault"]
-    if faults:
-        return _of_faults(faults)
-    suspect = [one for one in findings if one.role == "doubt" or one.kind == "rig_contradiction"]
-    reasons = tuple(_line(f"the rig file contradicts a run: {one}" if one.kind == "rig_contradiction" else one.text)
-                    for one in suspect)
-    facts = tuple(_line(one.text) for one in findings if one.role == "fact")
-    torque = list(torque_fits(result).values())
-    disputes = any(one.kind == "runs_disagree" for one in findings)
-    tested = result.method in ("mle", "shooting")
-    if suspect:
-        use = () if not torque else (
-            "Good for torque feedforward within the fitted motion." if min(torque) >= GOOD_FIT else
-            "Good for rough torque feedforward only." if min(torque) >= ROUGH_FIT else
-            "Not good for torque feedforward either.",)
-        return Trust("bad", f"DO NOT TRUST the parameters: {_in_short(suspect)}.", (*reasons, *use, *facts))
-    known = f": {told}" if (told := precision(result)) else ""
-    if tested and not result.mechanism.actuated:
+    told = {role: tuple(sentence_of(one.text) for one in findings if one.role == role)
+            for role in ("fault", "doubt", "fact", "remedy")}
+    kinds = [one.kind for one in findings if one.role == ("fault" if told["fault"] else "doubt")]
+    step = next((step for kind, step in STEPS.items() if kind in kinds), DIAGNOSE)
+    if told["fault"]:
+        texts = [one.text for one in findings if one.role == "fault" and one.kind == kinds[0]]
+        short = FAULTS.get(kinds[0])
+        return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(
+            line for line in told["fault"] if short or line not in map(sentence_of, texts)), (*told["remedy"], step)[0])
+    if told["doubt"]:
+        return Trust("bad", f"DO NOT TRUST the parameters: {_in_short(kinds)}.", (*told["doubt"], *told["fact"]), step)
+    facts = (*([sentence_of(known)] if known else []), *told["fact"])
+    if untested:
+        return Trust("caution", f"NOT TESTED: {untested}, which cannot test the parameters.", told["fact"],
+                     "Fit by maximum likelihood: legid fit RUN... --rig RIG")
+    if scale:
         return Trust("good", "TRUST the ratios of the parameters within their intervals: no torque was measured.",
-                     (f"Their scale is that of {', '.join(result.fixed)}, which was given.", *facts))
-    if not tested or not torque:
-        return Trust("caution", f"NOT TESTED: the filters of {result.method} colour its residual, which cannot test "
-                     "the parameters. Use mle.", facts)
+                     (f"Their scale is that of {scale}, which was given.", *facts), VALIDATE)
     if any(one.kind == "noise_share" for one in findings):
         return Trust("caution", "TRUST WITH CARE: much of the torque counts as noise, so the intervals may be too "
-                     "narrow.", facts)
-    if min(torque) < GOOD_FIT:
-        return Trust("good", f"TRUST the parameters within their intervals; the model's torque is rough{known}.", facts)
-    if disputes:
-        return Trust("good", f"TRUST the parameters within their intervals, which are wide because {units(result)} "
-                     f"disagree, and the model's torque{known}.", facts)
-    return Trust("good", f"TRUST the parameters within their intervals, and the model's torque{known}.", facts)
+                     "narrow.", facts, "Choose rate, hold and terms by the records: legid tune RUN... --rig RIG")
+    return Trust("good", "TRUST the parameters within their intervals"
+                 f"{'; the model' if rough else ', and the model'}'s torque{' is rough' * rough}.", facts, VALIDATE)
 
 
-def _of_faults(faults: Sequence[Finding]) -> Trust:
-    """The first kind of fault in short, and each fault of that kind in a line."""
-    kind = faults[0].kind
-    texts = [one.text for one in faults if one.kind == kind]
-    short = {"impossible": "no mechanism has these parameters", "columns": "the columns cannot be right"}.get(kind)
-    return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(map(_line, texts)) if short else ())
-
-
-def _in_short(suspect: Sequence[Finding]) -> str:
+def _in_short(suspect: Sequence[str]) -> str:
     """The first kinds of suspect results, and how many more there are."""
-    kinds = list(dict.fromkeys(IN_SHORT[one.kind] for one in suspect))
-    more = [f"and {len(kinds) - NAMED} more"] if len(kinds) > NAMED else []
-    return ", ".join([*kinds[:NAMED], *more])
-
-
-def _line(text: str) -> str:
-    """`text` as a sentence; a name such as beta1 keeps its small letter."""
-    named = re.match(r"\w*\d", text)
-    return f"{text if named else text[:1].upper() + text[1:]}."
+    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in suspect))
+    return ", ".join(kinds[:NAMED]) + f", and {len(kinds) - NAMED} more" * (len(kinds) > NAMED)
 
 
 def deciding(table: PredictionTable) -> list[str]:
@@ -149,35 +133,34 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
                    for name, share in fits_of(table, k, horizon_s).items() if name in deciding(table))
 
     (whole, where), (short, where_short) = worst(np.inf), worst(SHORT_S)
-    seconds = min(one.longest_s for one in table.runs)
-    level, sentence = _for_what(whole, where, short, where_short, seconds)
-    suspect = [f"the model was fitted to run {run}, so that run does not test it" for run in seen]
-    suspect += list(contradictions)
-    if suspect and level == "good":
-        return Trust("caution", f"TRUST WITH CARE: {'; '.join(suspect)}. {sentence}")
-    return Trust(level, sentence, tuple(f"{text[:1].upper()}{text[1:]}." for text in suspect))
+    seconds = f"{min(one.longest_s for one in table.runs):.0f} s"
+    suspect = [*(f"the model was fitted to run {run}, so that run does not test it" for run in seen), *contradictions]
+    told = f"fit {_percent(whole)} at worst, {where}"
+    if whole >= GOOD_FIT:
+        if not suspect:
+            return Trust("good", f"TRUST for simulation over {seconds}: {told}.", next_step=SIMULATE)
+        more = f", and {len(suspect) - 1} more" if suspect[1:] else ""
+        return Trust("caution", f"TRUST WITH CARE for simulation over {seconds}: {suspect[0]}{more}.",
+                     tuple(map(sentence_of, [told, *suspect[1:]])), VALIDATE if seen else STEPS["rig_contradiction"])
+    reasons = tuple(map(sentence_of, [f"over {seconds}: {told}", f"over {SHORT_S:g} s: fit {_percent(short)} at worst, "
+                                f"{where_short}", *suspect]))
+    if short >= GOOD_FIT:
+        return Trust("caution", f"TRUST for predictions of {SHORT_S:g} s, not for simulation over {seconds}.", reasons,
+                     DIAGNOSE)
+    if max(whole, short) >= ROUGH_FIT:
+        return Trust("caution", f"ROUGH: the free runs fit to less than {GOOD_FIT:g} %.", reasons, DIAGNOSE)
+    return Trust("bad", f"DO NOT TRUST: the free runs fit to less than {ROUGH_FIT:g} %.", reasons, DIAGNOSE)
 
 
 def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
-    """`trust` in a model's free runs, after what the fit said of its parameters where that was not to trust them."""
+    """`trust` in a model's free runs, and not in its parameters where their fit said so."""
     if of_fit is None or of_fit.level != "bad":
         return trust
-    return Trust("bad", f"{of_fit.sentence.partition(':')[0]}, as their fit said. Free runs: {trust.sentence}",
-                 (f"The fit: {of_fit.sentence}", *trust.reasons))
-
-
-def _for_what(whole: float, where: str, short: float, where_short: str, seconds: float) -> tuple[Level, str]:
-    told = f"fit {_percent(whole)} at worst, {where}"
-    told_short = f"fit {_percent(short)} at worst, {where_short}"
-    if whole >= GOOD_FIT:
-        return "good", f"TRUST for simulation over {seconds:.0f} s: {told}."
-    if short >= GOOD_FIT:
-        return "caution", (f"TRUST for predictions of {SHORT_S:g} s ({told_short}), NOT for simulation over "
-                           f"{seconds:.0f} s ({told}).")
-    if max(whole, short) >= ROUGH_FIT:
-        return "caution", (f"ROUGH: over {SHORT_S:g} s {told_short}; over {seconds:.0f} s {told}. "
-                           "Run legid diagnose to find what is missing.")
-    return "bad", f"DO NOT TRUST: {told} over {seconds:.0f} s, {told_short} over {SHORT_S:g} s. Run legid diagnose."
+    use, _, why = trust.sentence.partition(":")
+    if trust.level == "good":
+        trust = structs.replace(trust, level="caution", sentence=f"{use}, not the parameters:{why}")
+    return structs.replace(trust, reasons=(*trust.reasons, "The fit did not trust the parameters: "
+                                           f"{of_fit.sentence.partition(': ')[2]}"))
 
 
 def _percent(share: float) -> str:

@@ -135,7 +135,7 @@ class Job:
         if self.kind == "diagnose" and "verdict" in document:
             return f"{document['verdict']}: {document['sentence']}"
         if self.kind == "fit" and document.get("converged"):
-            return fit_verdict(document)
+            return str(document.get("trust", {}).get("sentence", "The fit converged."))
         return said or f"ended with status {code}"
 
 
@@ -197,14 +197,3 @@ class Tail:
             if not _BAR.match(piece) and " ... " not in piece:
                 self.line = piece
         return pieces
-
-
-def fit_verdict(document: dict[str, Any]) -> str:
-    """A converged fit in one line."""
-    open_ones = document.get("undetermined") or []
-    determined = "every parameter is determined" if not open_ones else f"not determined: {', '.join(open_ones)}"
-    rms = ", ".join(f"{value:.3g}" for value in document["torque_residual_rms_nm"])
-    trust = document.get("trust", {}).get("sentence", "")
-    return (f"{trust} " * bool(trust)
-            + f"Converged in {document['iterations']} iterations on {document['samples']} samples; {determined}; "
-            f"torque residual by joint {rms} N m rms.")

@@ -99,6 +99,8 @@ class Page:
             with ui.element("div").classes("live-buttons"):
                 self._doctor = _button("Check the devices", lambda: self._bench.start_job("doctor", []), "doctor")
                 self._clear = _button("Clear faults", lambda: self._bench.start_job("clear", []), "clear")
+            with ui.element("div").props('id="checks"') as self._checks_box:
+                pass
 
     def _limits(self) -> None:
         with _card("Limits", "last"):
@@ -241,11 +243,11 @@ class Page:
 
     def _draw_jobs(self) -> None:
         for job in reversed(self._bench.jobs):
-            view = self._job_views.get(id(job))
+            view, place = self._job_views.get(id(job)), self._checks_box if job.on_devices else self._jobs_box
             if view is None:
-                with self._jobs_box:
+                with place:
                     view = self._job_views[id(job)] = JobView(job)
-                view.box.move(self._jobs_box, 0)
+                view.box.move(place, 0)
             view.draw()
         for key in self._job_views.keys() - {id(job) for job in self._bench.jobs}:
             self._job_views.pop(key).box.delete()

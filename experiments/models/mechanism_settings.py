@@ -20,7 +20,7 @@ def mechanism_settings(rig: Rig, prismatic: bool = False) -> MechanismSettings:
         model=m.model, actuated=m.actuated, gravity_mps2=m.gravity_mps2, links=joint_count(m), input=m.input,
         prismatic=prismatic, lever_arm_m=first.lever_arm_m if usual else 0.0, imus=imus,
         link_lengths_m=m.link_lengths_m, rotor_inertia=terms.rotor_inertia or (),
-        torque_offset=terms.torque_offset or (),
+        torque_offset=terms.torque_offset or (), encoder_zero=terms.encoder_zero or (),
         friction_velocity_radps=terms.friction_velocity_radps or VELOCITY_SCALE, hips=rig.walker is not None)
 
 

@@ -43,6 +43,8 @@ class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=
     """Of the links that IMUs ride on, from the first."""
     rotor_inertia: tuple[Joint, ...] = ()
     torque_offset: tuple[Joint, ...] = ()
+    encoder_zero: tuple[Joint, ...] = ()
+    """Joints whose encoders had unknown zeros in the runs that were fitted."""
     friction_velocity_radps: Positive | tuple[Positive, ...] = VELOCITY_SCALE
     """One for all joints, or one each."""
     hips: bool = False

@@ -6,6 +6,7 @@ from .change import sessions_text as sessions_text
 from .change import write_change as write_change
 from .chart import Line as Line
 from .comparison import comparison_text as comparison_text
+from .comparison import horizon_errors_table as horizon_errors_table
 from .comparison import write_comparison as write_comparison
 from .diagnosis_figures import ERRORS as ERRORS
 from .diagnosis_figures import error_bars as error_bars
@@ -45,8 +46,6 @@ from .html import Table as Table
 from .html import script_hash as script_hash
 from .html import whole_options as whole_options
 from .html import write_page as write_page
-from .import_picture import GUESS_HEADER as GUESS_HEADER
-from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_table as guess_table
 from .import_picture import guess_verdict as guess_verdict

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.documents import FitDocument, finite
-from experiments.judge import LEAST_PART, PARTS_TOLD, number, source_words
+from experiments.judge import LEAST_PART, PARTS_TOLD, number, sentence_of, source_words
 from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, ROW_IN, draw, finish, name_rows
 from experiments.reports.html import Picture, Section, Table
 
@@ -35,15 +35,10 @@ def budget_table(fit: FitDocument) -> Table:
 
 
 def budget_lines(fit: FitDocument) -> list[str]:
-    """For a terminal; none without a budget."""
-    if fit.budget is None:
-        return []
-    lines = [f"budget: {fit.precision}"] if fit.precision else []
-    if fit.tolerances_enlarged:
-        grown = ", ".join(f"{group} {factor:.2g} times" for group, factor in
-                          sorted(fit.tolerances_enlarged.items(), key=lambda pair: -pair[1]))
-        lines.append(f"the runs ask for larger tolerances: {grown}")
-    return lines
+    """Tolerances that the runs enlarge; none without any."""
+    grown = ", ".join(f"{group} {factor:.2g} times" for group, factor in
+                      sorted(fit.tolerances_enlarged.items(), key=lambda pair: -pair[1]))
+    return [f"the runs ask for larger tolerances: {grown}"] if grown else []
 
 
 def budget_section(fit: FitDocument) -> Section | None:
@@ -53,7 +48,7 @@ def budget_section(fit: FitDocument) -> Section | None:
         return None
     text = ["Each bar is the variance of a parameter, as the sum of its parts. Noise and scatter between runs come "
             "from the runs. All else are tolerances, which rig.toml states under [tolerance], or which have a default.",
-            *(f"{line[:1].upper()}{line[1:]}." for line in budget_lines(fit))]
+            *map(sentence_of, budget_lines(fit))]
     return Section("What the intervals consist of", text, [table],
                    [Picture(_bars(fit), "Share of each source in the variance of each parameter.")])
 

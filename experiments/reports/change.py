@@ -28,8 +28,8 @@ DRAWN = 14
 
 def change_text(found: Differing, files: Files | None = None) -> str:
     """Text after `legid diagnose --against` and `legid compare`: the verdict first. The next step names `files`."""
-    head, (first, second) = found.headline, found.sides
-    blocks = [*head.lines]
+    first, second = found.sides
+    blocks = [with_names(found.headline.text, files)]
     if found.causes:
         blocks.append(f"From {first.name} to {second.name}:\n" + cause_table(found).text)
     blocks += [*held_out_text(found), *free_runs_text(found)]
@@ -37,8 +37,7 @@ def change_text(found: Differing, files: Files | None = None) -> str:
         table = detectable_table(found, SHOWN)
         blocks += ["Smallest change that these runs would have shown with 80 % probability (the likeliest "
                    f"{len(table.rows)} of {len(found.candidates)}):\n{table.text}", structure_text(found)]
-    blocks += [f"Next step: {with_names(head.action, files)}", *(f"warning: {text}" for text in head.warnings),
-               f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)"]
+    blocks.append(f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)
 
 

@@ -50,8 +50,6 @@ class Chart:
     bands: Sequence[Band] = ()
     below: str = ""
     """What the lines below are, with their unit."""
-    y_range: tuple[float, float] | None = None
-    """Where the axis is cut while all times are shown; None leaves it to the values."""
 
     @property
     def json(self) -> Markup:
@@ -66,7 +64,7 @@ class Chart:
         lines += [{"label": line.label, "colour": line.colour, "width": line.width, "dashed": line.dashed,
                    "below": line.below, "values": _numbers(line.values[part])} for line in self.lines]
         document = {"x": "time [s]", "y": self.y_label, "group": self.group, "below": self.below, "bands": bands,
-                    "range": self.y_range, "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
+                    "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
         return Markup(msgspec.json.encode(document).decode().replace("<", "\\u003c"))
 
 

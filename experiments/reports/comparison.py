@@ -47,7 +47,7 @@ def _cells(side: Value | None) -> tuple[str, str]:
     return number(side.value, finite(side.std)), Estimate(side.value, finite(side.std), low, high).interval
 
 
-def error_table(found: ComparisonDocument) -> Table:
+def horizon_errors_table(found: ComparisonDocument) -> Table:
     """One row a horizon and sensor."""
     def rms(value: float | None) -> str:
         return "diverged" if value is None else f"{value:.4g}"
@@ -60,9 +60,9 @@ def error_table(found: ComparisonDocument) -> Table:
 
 def comparison_text(found: ComparisonDocument) -> str:
     """Text after `legid compare`."""
-    return "\n".join([found.trust.text, "", *(f"{name}: {file}" for name, file in zip(NAMES, found.models)), "",
+    return "\n".join([found.headline.text, "", *(f"{name}: {file}" for name, file in zip(NAMES, found.models)), "",
                       parameter_table(found).text, "", f"Free runs of {', '.join(found.runs)}:",
-                      error_table(found).text])
+                      horizon_errors_table(found).text])
 
 
 def write_comparison(path: Path | str, found: ComparisonDocument, model: str = "a rig",
@@ -85,7 +85,7 @@ def comparison_sections(found: ComparisonDocument, table: PredictionTable | None
                            "is then driven by the measured torque alone. The error is simulated less measured. "
                            "The interval of the ratio comes from its scatter between runs, or between pieces of 2 s if "
                            "there are few runs. B is better if the interval lies below 1, A if it lies above."])],
-                [error_table(found)],
+                [horizon_errors_table(found)],
                 [Picture(ratio_plot(found.errors), "Rms error of B over that of A with 95 % intervals: below 1, B is "
                          "better.", leads=True)]),
         None if table is None else _traces(table),

@@ -13,7 +13,7 @@ from msgspec import UNSET
 from estimator.diagnosis import Diagnosis
 from estimator.signals import angle_column
 from experiments.documents import DiagnosisDocument, NamedCause, finite, split_key
-from experiments.judge import Files
+from experiments.judge import VERDICTS, Files
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
     error_bars,
@@ -68,8 +68,7 @@ def write_diagnosis(path: Path | str, found: DiagnosisDocument, kept: Diagnosis 
 
     Raises `InputError` where `path` cannot be written.
     """
-    head = found.headline.title
-    write_result(path, found, f"Diagnosis{' of ' * bool(found.model)}{found.model}: {head[:1].lower()}{head[1:]}",
+    write_result(path, found, f"Diagnosis{' of ' * bool(found.model)}{found.model}: {VERDICTS[found.verdict][1]}",
                  confirm_words(found), diagnosis_sections(found, kept), files)
 
 
@@ -211,8 +210,8 @@ def _traces(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
                default="")
     paper = on_paper(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}: measured, and simulated by the "
-                        f"nominal and by the extended model; below, simulated less measured.{paper}",
-                        trace_chart(first, column), leads=column == told)
+                        f"nominal and by the extended model; below, simulated less measured.",
+                        trace_chart(first, column), column == told, paper)
                 for column in shown]
     return Section("Simulation against measurement, before and after", (), (), pictures)
 

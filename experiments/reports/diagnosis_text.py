@@ -236,7 +236,7 @@ def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
     pieces, small, extended = found.gain.pieces, small_table(found), found.causes and found.parameters.extended
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(found.runs).items() if names)
     blocks = [
-        "\n".join(found.headline.lines),
+        with_names(found.headline.text, files),
         _titled(structure_words(found.structure), structure_table(found.structure, found.force_unit), USE)
         if found.structure else "",
         _titled(budget_words(found), budget_table(found)),
@@ -251,9 +251,7 @@ def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
         _candidates(found),
         "\n".join(["Cannot be tested here:", *(f"  {effect_label(one.effect, one.joint)}: {one.why}"
                                                for one in found.not_testable)]) if found.not_testable else "",
-        *(f"warning: {text}" for text in found.warnings),
         f"Next experiment: {found.next_experiment}" if found.next_experiment else "",
-        f"Next step: {with_names(found.next_step, files)}",
         " ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(found), f"({found.wall_s:.0f} s)"]))]
     return "\n\n".join(filter(None, blocks))
 

@@ -36,24 +36,22 @@ STYLE: dict[Any, Any] = {
 
 
 def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, caption: str, seconds: float,
-                  group: str = "run", bands: Sequence[Band] = (),
-                  y_range: tuple[float, float] | None = None, leads: bool = False) -> Picture:
+                  group: str = "run", bands: Sequence[Band] = (), leads: bool = False) -> Picture:
     """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
-    script, as far as `MOST_SAMPLES` go. `y_range` cuts what lies outside."""
+    script, as far as `MOST_SAMPLES` go."""
     whole = time_s - time_s[0]
     part = slice(0, min(window(time_s, seconds).stop, MOST_SAMPLES))
     shown = [replace(line, values=line.values[part]) for line in lines]
     under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
-    caption += on_paper(seconds, float(whole[-1]))
     if whole.size > MOST_SAMPLES:
         caption += f" The first {whole[MOST_SAMPLES - 1]:.0f} of {whole[-1]:.0f} s."
-    return Picture(plot_lines(whole[part], shown, y_label, bands=under, y_range=y_range), caption,
-                   Chart(whole, lines, y_label, group=group, bands=bands, y_range=y_range), leads)
+    return Picture(plot_lines(whole[part], shown, y_label, bands=under), caption,
+                   Chart(whole, lines, y_label, group=group, bands=bands), leads, on_paper(seconds, float(whole[-1])))
 
 
 def on_paper(seconds: float, whole_s: float) -> str:
-    """Sentence of a caption whose picture shows less than a browser does; empty where it shows all."""
-    return f" On paper, the first {seconds:.0f} of {whole_s:.0f} s." if seconds < whole_s - 0.5 else ""
+    """Sentence on a picture that shows less than a browser does; empty where it shows all."""
+    return f"The first {seconds:.0f} of {whole_s:.0f} s." if seconds < whole_s - 0.5 else ""
 
 
 @contextmanager
@@ -70,9 +68,8 @@ def blank_figure(name: str, height_in: float = HEIGHT_IN) -> Iterator[Figure]:
 
 
 def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]",
-               bands: Sequence[Band] = (), y_range: tuple[float, float] | None = None) -> str:
-    """Curves over time (n,) [s] as an `<svg>` element, over what lies in `bands`; NaN leaves a hole, and `y_range`
-    cuts what lies outside."""
+               bands: Sequence[Band] = ()) -> str:
+    """Curves over time (n,) [s] as an `<svg>` element, over what lies in `bands`; NaN leaves a hole."""
     with blank_figure(y_label) as figure:
         axes = figure.add_subplot()
         for band in bands:
@@ -83,8 +80,6 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
                       linestyle="--" if line.dashed else "-", zorder=3 if line.dashed else 2)
         finish(axes, len(lines) + len(bands), x_label, y_label)
         axes.set_xlim(float(time_s[0]), float(time_s[-1]))
-        if y_range is not None:
-            axes.set_ylim(*y_range)
         return to_svg(figure)
 
 

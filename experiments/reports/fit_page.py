@@ -16,11 +16,12 @@ from experiments.documents import FitDocument
 from experiments.judge import (
     Correlation,
     Estimate,
+    Files,
     fit_percent,
-    friction_level,
     number,
     open_torque,
     residual_tests,
+    sentence_of,
     torque_fit,
 )
 from experiments.reports.budget import budget_section
@@ -44,9 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIGURE_SECONDS = 12.0
-WORTH_CUTTING = 1.2
-"""An axis that would be so many times as long is cut."""
-FAINT = f"{ORANGE}55"
 BoolArray = NDArray[np.bool_]
 SENSOR_LABELS = {
     "gyro_radps": "gyro [rad/s]", "accel_x_mps2": "accelerometer x [m/s²]", "accel_y_mps2": "accelerometer y [m/s²]",
@@ -55,14 +53,9 @@ SENSOR_LABELS = {
 
 def fit_summary(fit: FitDocument) -> str:
     """One sentence at the top of the page."""
-    ending = "The fit converged." if fit.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
-    if fit.undetermined:
-        ending += f" This data does not determine {', '.join(fit.undetermined)}."
-    if fit.force_unit == "V":
-        ending += f" {VOLTS}"
     prior = f"{prior_sentence(fit)} " if fit.prior else ""
-    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}. "
-            f"{ending}")
+    return (f"{prior}{fit.model}, identified by {fit.method} from the {_sensors(fit)}, {samples_text(fit)}."
+            f"{f' {VOLTS}' * (fit.force_unit == 'V')}")
 
 
 def _sensors(fit: FitDocument) -> str:
@@ -70,12 +63,14 @@ def _sensors(fit: FitDocument) -> str:
     return f"{sensors} and torque" if fit.driven else sensors.replace(", ", " and ")
 
 
-def write_fit(path: Path | str, fit: FitDocument, runs: Sequence[str], result: FitResult | None = None) -> None:
+def write_fit(path: Path | str, fit: FitDocument, runs: Sequence[str], result: FitResult | None = None,
+              files: Files | None = None) -> None:
     """Write the page of a fit to `runs`: its document, and the motion of `result` where that is known.
 
-    Raises `InputError` where that place cannot be written.
+    The next step names `files`. Raises `InputError` where that place cannot be written.
     """
-    write_result(path, fit, f"Fit of {fit.model}: {', '.join(runs)}", fit_summary(fit), fit_sections(fit, result))
+    write_result(path, fit, f"Fit of {fit.model}: {', '.join(runs)}", fit_summary(fit), fit_sections(fit, result),
+                 files)
 
 
 def fit_sections(fit: FitDocument, result: FitResult | None, benchmark: FitResult | None = None) -> list[Section]:
@@ -141,21 +136,16 @@ def _torques(result: FitResult, path: Trajectory, benchmark: FitResult | None) -
         if other is not None and benchmark is not None:
             lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other[:, j], GREEN, 0.9))
         unknown = open_torque(result, path, j)
-        told = [*(line.values for line in lines), np.where(unknown, np.nan, path.tau[:, j])]
-        if unknown.any():
-            widened = np.convolve(unknown, np.ones(3), mode="same") > 0.0  # so that the two curves meet
-            lines.append(Line("model near rest, not known", np.where(widened, path.tau[:, j], np.nan), FAINT, 0.6))
-        lines.append(Line(f"model ({result.method})", told[-1], ORANGE, 0.9))
+        lines.append(Line(f"model ({result.method})", np.where(unknown, np.nan, path.tau[:, j]), ORANGE, 0.9))
         if not driven:
             lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
-        cut = torque_range(told, path.tau[:, j], friction_level(result, j))
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
-                                      _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
-                                      y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
+                                      _torque_caption(result, path, j, unknown), FIGURE_SECONDS,
+                                      leads=j == max(result.mechanism.actuated, default=-1)))
     return Section("Torques", [f"Run {path.run}."], pictures=pictures)
 
 
-def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
+def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray) -> str:
     driven, force = j in result.mechanism.actuated, result.mechanism.force_unit
     text = f"Torque of joint {j + 1} in run {path.run}" + ("" if driven else ", which has no motor: it must be zero")
     text += f". Rms of measured minus model: {float(result.torque_residual_rms[j]):.3g} {force}"
@@ -164,25 +154,8 @@ def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolAr
         text += f", {float(np.sqrt(np.mean(left**2))):.3g} {force} where dry friction says what it is"
     if driven:
         text += f"; fit {torque_fit(result, j, [path]):.1f} %" + (" there" if unknown.any() else "")
-    text += "."
-    if cut:
-        text += (f" The axis is cut: near rest, where dry friction may hold the joint against any torque, the model's "
-                 f"is not known, and scatters to {float(np.max(np.abs(path.tau[unknown, j]))):.2g} {force}.")
-    return text
-
-
-def torque_range(told: Sequence[FloatArray], modelled: FloatArray, least: float) -> tuple[float, float] | None:
-    """An axis that shows all of the curves `told`, NaN where they are not known, and `least` at either side of zero.
-
-    None where that cuts next to nothing off `modelled`, the model's torque known or not, and where nothing is known.
-    """
-    known = np.concatenate([*told, [-least, least]])
-    low, high = float(np.nanmin(known)), float(np.nanmax(known))
-    longest = max(high, float(np.nanmax(modelled))) - min(low, float(np.nanmin(modelled)))
-    if not high > low or longest < WORTH_CUTTING * (high - low):
-        return None
-    margin = 0.05 * (high - low)
-    return low - margin, high + margin
+    return text + (". Near rest the model's torque is not known: dry friction may hold the joint against any."
+                   if unknown.any() else ".")
 
 
 def _benchmark_torque(benchmark: FitResult | None, path: Trajectory) -> FloatArray | None:
@@ -235,12 +208,9 @@ def _noise(fit: FitDocument) -> Section:
         return Section("Noise levels", [f"{fit.method} neither uses nor estimates any."])
     return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
                    [Table(["channel", "1 sigma", "unit"], rows, {1})],
-                   notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(fit)])
+                   notes=[*map(sentence_of, run_noise_lines(fit))])
 
 
 def _limits(fit: FitDocument) -> Section:
-    text: Sequence[str] = (["This data does not determine:"] if fit.undetermined
-                           else ["This data determines every parameter of the model."])
-    notes = [*fit.undetermined, *(f"Warning: {w}" for w in fit.warnings),
-             *(f"Assumed: {a}" for a in fit.assumptions)]
-    return Section("What is not determined, and what is assumed", text, notes=notes)
+    return Section("What is not determined, and what is assumed", notes=[
+        *(f"Not determined: {one}." for one in fit.undetermined), *map(sentence_of, fit.assumptions)])

@@ -6,7 +6,7 @@ import math
 import re
 
 from experiments.documents import FitDocument, finite
-from experiments.judge import number
+from experiments.judge import Files, number, with_names
 from experiments.reports.budget import budget_lines
 from experiments.reports.html import Table
 from experiments.reports.prior_knowledge import prior_sentence, prior_table
@@ -34,8 +34,6 @@ def parameter_table(fit: FitDocument) -> Table:
     return Table(["parameter", "value", "std", "95 % interval", "unit", "meaning"], rows, {1, 2, 3})
 
 
-OF_THE_FIRST_LINE = ("not_converged", "undetermined")
-"""Kinds of faults that the first line says in full."""
 VOLTS = "The input is a voltage: every parameter is in volt units."
 CHANNEL = re.compile(r"([a-z]+?)([0-9]*)((?:_[xy])?)_(radps|mps2|nm|rad|s)")
 """Kind, number of one of several, axis and unit of a noise channel."""
@@ -100,8 +98,7 @@ def fit_text(fit: FitDocument) -> str:
     """Text after a fit, below its first lines."""
     lines = [*([prior_sentence(fit), ""] if fit.prior else []),
              f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
-             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
-             + ("converged" if fit.converged else "NOT CONVERGED"), "",
+             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s", "",
              parameter_table(fit).text, ""]
     if fit.noise:
         lines.append("noise (1 sigma): " + ", ".join(
@@ -117,15 +114,13 @@ def fit_text(fit: FitDocument) -> str:
     lines += friction_lines(fit)
     lines += agreement_lines(fit)
     lines += opinion_lines(fit)
-    lines += [f"not determined by this data: {name}" for name in fit.undetermined]
-    lines += [f"warning: {text}" for text in (*(one.text for one in fit.findings if one.role == "fault"
-                                                and one.kind not in OF_THE_FIRST_LINE), *fit.warnings)]
     lines += [f"assumed: {text}" for text in fit.assumptions]
+    lines += [f"not determined by this data: {name}" for name in fit.undetermined]
     if fit.measure_next is not None and fit.measure_next.text:
-        lines.append(f"next: {fit.measure_next.text}")
+        lines.append(f"for narrower intervals: {fit.measure_next.text}")
     return "\n".join(lines)
 
 
-def whole_fit_text(fit: FitDocument) -> str:
-    """Everything that `legid fit` prints."""
-    return f"{fit.trust.text}\n\n{fit_text(fit)}"
+def whole_fit_text(fit: FitDocument, files: Files | None = None) -> str:
+    """Everything that `legid fit` prints. The next step names `files`."""
+    return f"{with_names(fit.headline.text, files)}\n\n{fit_text(fit)}"

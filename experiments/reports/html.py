@@ -61,6 +61,8 @@ class Picture:
     """The same curves for a browser, to zoom in."""
     leads: bool = False
     """Stands at the head of the page, in place of its section; of several the first."""
+    still: str = ""
+    """Sentence on the SVG alone, where `chart` shows more."""
 
     @property
     def markup(self) -> Markup:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.console import text_table
 from experiments.exchange import Guess, si_unit
 from experiments.judge import Headline
 from experiments.reports.chart import Line
@@ -12,19 +11,13 @@ from experiments.reports.figures import BLUE, ORANGE, picture_lines
 from experiments.reports.html import Section, Table
 
 SECONDS = 15.0
-GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
 
 
-def guess_rows(guess: Guess) -> list[list[str]]:
-    """One row of GUESS_HEADER a column."""
-    return [[name, " - ".join(filter(None, (column.name, column.minus))), column.unit or si_unit(name),
-             f"{column.sign:+d}", guess.notes.get(name, "").replace("\n", "; ")]
-            for name, column in guess.columns.items()]
-
-
-def guess_table(guess: Guess) -> str:
-    """The same as text."""
-    return text_table(GUESS_HEADER, guess_rows(guess), set())
+def guess_table(guess: Guess) -> Table:
+    """One row a column."""
+    return Table(["run's column", "file's column", "unit", "sign", "why"], [
+        [name, " - ".join(filter(None, (column.name, column.minus))), column.unit or si_unit(name),
+         f"{column.sign:+d}", guess.notes.get(name, "").replace("\n", "; ")] for name, column in guess.columns.items()])
 
 
 def guess_verdict(guess: Guess) -> Headline:
@@ -47,4 +40,4 @@ def guess_section(guess: Guess, file: str) -> Section:
         column, unit = title.split(":")[0], title[title.rindex("["):]
         pictures.append(picture_lines(time_s, lines, f"{column} {unit}", title, SECONDS))
     return Section("Columns", [f"Guessed from {file}. Unit and sign are right if a figure's two curves agree. No "
-                               "figure shows the torque's scale."], [Table(GUESS_HEADER, guess_rows(guess))], pictures)
+                               "figure shows the torque's scale."], [guess_table(guess)], pictures)

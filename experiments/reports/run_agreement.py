@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from experiments.documents import FitDocument, finite
-from experiments.judge import WIDENED, number
+from experiments.judge import WIDENED, number, sentence_of
 from experiments.reports.html import Section, Table
 
 LEAST_P = 1e-9
@@ -40,8 +40,8 @@ def agreement_section(fit: FitDocument) -> Section | None:
     if found is None:
         return None
     if not found.disagree:
-        return Section(f"Do the {found.unit}s agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])
-    text = [f"{lines[0][:1].upper()}{lines[0][1:]}.",
+        return Section(f"Do the {found.unit}s agree?", [sentence_of(lines[0])])
+    text = [sentence_of(lines[0]),
             f"Mean and scatter are those of {found.unit}s that each have parameters of their own, to first order at "
             f"the values above. A {found.unit}'s own value is shrunk to the mean by its uncertainty. Where the "
             "scatter stands in brackets, most of it is not observed: it may belong to another parameter."]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator import MOST_DISAGREEMENT
 from experiments.documents import FitDocument, finite
-from experiments.judge import METHOD_WORDS, with_half_width
+from experiments.judge import METHOD_WORDS, sentence_of, with_half_width
 from experiments.reports.html import Section, Table
 
 
@@ -33,7 +33,7 @@ def opinion_section(fit: FitDocument) -> Section | None:
     ours, theirs = METHOD_WORDS[fit.method], METHOD_WORDS[other.method]
     told = (f"The same data by {theirs}, which fails differently. Disagreement: difference over the root of both "
             f"squared half widths; above {MOST_DISAGREEMENT:g} the fit is not trusted.")
-    return Section("Second opinion", [told, *([f"{other.why[:1].upper()}{other.why[1:]}."] if other.why else [])], [
+    return Section("Second opinion", [told, *([sentence_of(other.why)] if other.why else [])], [
         Table(["parameter", f"{ours} (reported)", theirs, "disagreement", "unit", "meaning"], rows, {1, 2, 3})],
         notes=[f"Not compared because given, at a bound, or not determined by both: {', '.join(other.not_compared)}."]
         if other.not_compared else [])

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
 from experiments.documents import RunFit, Segment, ValidationDocument, finite
+from experiments.judge import Files, sentence_of, with_names
 from experiments.models import Model
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
@@ -64,9 +65,9 @@ def validation_text(found: ValidationDocument) -> str:
     return "\n".join(lines)
 
 
-def whole_validation_text(found: ValidationDocument) -> str:
-    """Text after `legid validate`."""
-    return "\n".join([found.trust.text, "", validation_text(found),
+def whole_validation_text(found: ValidationDocument, files: Files | None = None) -> str:
+    """Text after `legid validate`. The next step names `files`."""
+    return "\n".join([with_names(found.headline.text, files), "", validation_text(found),
                       horizons_text(found.horizons), *([walk_text(found.walk)] if found.walk else [])])
 
 
@@ -129,15 +130,15 @@ def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture
 
 
 def write_validation(path: Path | str, found: ValidationDocument, where: str, model: Model | None = None,
-                     table: PredictionTable | None = None) -> None:
+                     table: PredictionTable | None = None, files: Files | None = None) -> None:
     """Write the page of a validation of the model that `where` names, with the motion of `table` where that is known.
 
-    Raises `InputError` where that place cannot be written.
+    The next step names `files`. Raises `InputError` where that place cannot be written.
     """
     count = len(found.fit_percent)
     fitted = "" if model is None else (f"{model.mechanism.model}, fitted by {model.provenance.method} to "
                                        f"{', '.join(model.provenance.runs)}, ")
-    told = f"{fitted}simulated against {count} run{'s' * (count != 1)}."
-    write_result(path, found, f"Validation of {where}", f"{told[:1].upper() if model is None else told[:1]}{told[1:]}",
+    told = sentence_of(f"{fitted}simulated against {count} run{'s' * (count != 1)}")
+    write_result(path, found, f"Validation of {where}", told,
                  fold(validation_section(found, table), horizons_section(found.horizons) if found.horizons else None,
-                      walk_section(found.walk) if found.walk else None))
+                      walk_section(found.walk) if found.walk else None), files)

@@ -11,6 +11,7 @@ from .prepare import Prepared as Prepared
 from .prepare import Runs as Runs
 from .prepare import as_datasets as as_datasets
 from .prepare import prepare as prepare
+from .prepare import with_terms_of as with_terms_of
 from .runs import damaged_runs as damaged_runs
 from .runs import faulty_readings as faulty_readings
 from .runs import load_runs as load_runs

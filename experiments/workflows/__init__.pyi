@@ -10,7 +10,6 @@ from .demo import run_demo as run_demo
 from .demo_text import demo_text as demo_text
 from .diagnose import diagnose_prepared as diagnose_prepared
 from .diagnose import reference_values as reference_values
-from .diagnose import with_reference_terms as with_reference_terms
 from .executor import Executor as Executor
 from .executor import choose_executor as choose_executor
 from .export import OF_MODELS as OF_MODELS

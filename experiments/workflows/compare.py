@@ -19,9 +19,7 @@ def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Se
                    sensors: str | None = None, horizons_s: Sequence[float] = HORIZONS_S) -> Comparison:
     """Compare `models`, read from `files`, on `runs` of `rig`. Raises `InputError` for models of other mechanisms,
     `FitError` where no motion can be estimated."""
-    prepared = [prepare(runs, rig, sensors=sensors, beta=np.array(models[0].beta))]
-    prepared.append(prepare(runs, rig, sensors=sensors, beta=np.array(models[1].beta)) if rig.terms.encoder_zero
-                    else prepared[0])  # parameters tell the zeros of encoders alone
+    prepared = [prepare(runs, rig, sensors=sensors, model=model) for model in models]
     for model, file, one in zip(models, files, prepared):
         require_mechanism(model, one.setup, file)
     require_sound(prepared[0].setup)

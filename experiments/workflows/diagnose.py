@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from msgspec import structs
-
 from daq import Dataset, InputError, Rig
 from daq.runs import IMU
 from estimator import FitError
@@ -31,7 +29,7 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
     """
     known_effects()
     setup, rig = prepared.setup, prepared.rig
-    notes = (*(str(one) for one in prepared.flags), *setup.notes)
+    notes = (*prepared.warnings, *setup.notes)
     imus = setup.mechanism.imus
     if setup.options.sensors == "imu" and len(imus) > 1:
         raise InputError("the rig file", f"has {len(imus)} IMUs; a diagnosis knows the faults of one",
@@ -105,18 +103,6 @@ def _motion(data: Dataset) -> set[str]:
     imu = all(name in data for name in IMU)
     return {name for name in data.columns if name.startswith(("q", "tau"))
             and not name.endswith(("cmd_nm", "motor_rad", "shunt_nm")) and not (imu and name == BENCHMARK)}
-
-
-def with_reference_terms(rig: Rig, reference: Model | None) -> Rig:
-    """`rig` with the rotor inertias and torque offsets of the model `reference` where it is silent about them.
-
-    A fit may have chosen them.
-    """
-    if reference is None:
-        return rig
-    silent = {key: getattr(reference.mechanism, key) for key in ("rotor_inertia", "torque_offset")
-              if getattr(rig.terms, key) is None}
-    return structs.replace(rig, terms=structs.replace(rig.terms, **silent))
 
 
 def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[float, float]]:

@@ -17,6 +17,7 @@ from estimator.prediction import SHORT_S, FittedModel, predict_filtered
 from estimator.score import TORQUE_GAIN
 from estimator.signals import split_signals
 from experiments.documents import FitDocument
+from experiments.judge import disputed
 from experiments.session import (
     Choice,
     Prepared,
@@ -145,8 +146,8 @@ def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:
 def _of_runs(prepared: Prepared) -> list[Finding]:
     """Runs that were set aside, and flags of the others."""
     return [*(Finding("warning", "run_set_aside", str(run)) for run in prepared.set_aside),
-            *(Finding("warning", "rig_contradiction" if one.flag.kind == "rig" else "run_doubt", str(one))
-              for one in prepared.flags)]
+            *(Finding("doubt", "rig_contradiction", f"the rig file contradicts a run: {one}")
+              if one.flag.kind == "rig" else Finding("warning", "run_doubt", str(one)) for one in prepared.flags)]
 
 
 def _of_samples(result: FitResult, datasets: Sequence[Dataset]) -> list[Finding]:
@@ -162,10 +163,9 @@ def _noise_findings(result: FitResult) -> list[Finding]:
     """Torque that is put down to noise, where that is too much to be white."""
     if (share := noise_share(result)) <= NOT_WHITE:
         return []
-    wide = result.agreement is not None and result.agreement.disagree
-    narrow = "intervals allow for what runs disagree about alone" if wide else "intervals are too narrow"
+    narrow = "intervals allow for what runs disagree about alone" if disputed(result) else "intervals may be too narrow"
     return [Finding("warning", "noise_share", f"{100 * share:.0f} % of the torque's spread counts as noise, which "
-                    f"is hardly white: {narrow}; run legid tune, then legid diagnose")]
+                    f"is hardly white: {narrow}")]
 
 
 def noise_share(result: FitResult) -> float:

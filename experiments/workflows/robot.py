@@ -80,7 +80,7 @@ def judge_robot(path: Path, runs: Runs, rig: Rig) -> RobotReport:
     result = found.result
     settings = fitted_settings(found.setup.settings, result.mechanism)
     model = model_of_robot(links, settings, result.hold, str(path))
-    prepared = prepare(runs, found.rig, beta=np.array(model.beta))
+    prepared = prepare(runs, found.rig, model=model)
     rows = tuple(Contradiction(p.name, p.meaning, p.unit, a, float(b), float(half)) for p, a, b, half in
                  zip(result.mechanism.parameters, model.beta, result.beta, result.half_width))
     own = model_of(result, found.setup.settings, found.setup.options.hold, [d.name for d in found.setup.datasets])

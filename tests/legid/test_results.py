@@ -5,6 +5,7 @@ import sys
 import time
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_a_fit_as_table_and_page() -> None:
         Combination((("beta8", 1.0), ("beta9", -1.0))),)), settings)
     assert list(unsure.to_frame()["value"].isna()) == [False] * 7 + [True, True]
     page = unescape(unsure._repr_html_())
-    assert "NOT CONVERGED" in page and "does not determine beta8 -1*beta9" in page and "m2*l1*lc2" in page
+    assert "the fit did not converge" in page and page.count("<td>not determined</td>") == 2 and "m2*l1*lc2" in page
 
 
 def test_a_run_as_table_page_and_figure() -> None:
@@ -103,3 +104,14 @@ def test_columns_of_structs_lead_below_and_rename_and_open_intervals() -> None:
         "run": [1, 2, 3], "name": ["a", "b", "c"], "low": [1.0, None, None], "high": [2.0, None, None],
         "of": ["N m", None, "N m"]}
     assert columns([], "1.ci95 unit") == {"low": [], "high": [], "unit": []}
+
+
+def test_rows_of_a_result_print_as_a_table(tmp_path: Path) -> None:
+    """`print(result.parameters)` was a tuple of structs on one line."""
+    found = legid.FitResult.of(synthetic_fit(), mechanism_settings(RIG))
+    found.to_json(tmp_path / "fit.json")
+    for one in (found, legid.FitResult.read(tmp_path / "fit.json")):
+        head, rule, first, *others = str(one.parameters).splitlines()
+        assert head.split()[:3] == ["name", "meaning", "unit"] and set(rule) == {"-", " "} and len(others) == 8
+        assert first.startswith("beta1") and f"{found.beta[0]:.4g}" in first and "(" not in first
+        assert isinstance(one.parameters, tuple) and one.parameters[0].name == "beta1"

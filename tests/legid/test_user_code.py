@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import legid
+from daq import InputError
 from tests.support.imported_files import degrees_log
 from tests.support.paths import ROOT
 
@@ -63,6 +65,24 @@ def test_the_first_script_runs_in_at_most_fifteen_lines(folder: Path) -> None:
     assert done.stdout.startswith("TRUST the parameters") and "m2*l1*lc2" in done.stdout
     assert (folder / "leg/leg.xml").is_file() and "<svg" in (folder / "diagnosis.html").read_text()
     assert {path.name for path in folder.iterdir()} >= {"fit.html", "extended.json"}
+
+
+def test_a_log_in_amperes_is_read_with_its_scale(folder: Path) -> None:
+    """The script stopped at amperes: a column's scale could not be given, and the guess's warning was not printed."""
+    (given,) = re.findall(r"`(legid\.guess\(.*scale=.*\))`", README)
+    log = folder / "log.csv"
+    log.write_text(log.read_text().replace("Torque [Nm]", "Current [A]"))
+    (folder / "amperes.py").write_text(f"""import legid
+columns = {given}.columns
+print(columns["tau2_nm"].scale, len(legid.read("log.csv", columns, rig="rig.toml")))
+print(len(legid.read("log.csv", legid.guess("log.csv").columns, scale={{"tau2_nm": 0.12}})))
+""")
+    done = run(folder, "amperes.py")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0.12", "1000", "1000"]
+    assert done.stderr.count("UserWarning: the scale of tau2_nm does not show") == 1  # of the guess without it
+    with pytest.raises(InputError, match="tau1_nm is no column of the map"):
+        legid.guess(log, scale={"tau1_nm": 2.0})
 
 
 def test_mypy_strict_knows_the_types_of_results(folder: Path) -> None:

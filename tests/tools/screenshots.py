@@ -62,7 +62,7 @@ def mujoco_plot(demo: Path) -> str:
     rig, found = choose_rig(None, [held]).rig, {}
     for name, label in (("model", "plain MJCF"), ("extended", "exported, with the spring")):
         model = load_model(demo / f"{name}.json")
-        prepared = prepare([held], rig, beta=np.array(model.beta))
+        prepared = prepare([held], rig, model=model)
         run = validate_in_mujoco(model, validate_prepared(model, prepared, name), name).table.runs[0]
         found[label] = run.trace("q2_rad", 0)
     part = window(run.time_s, SECONDS)

@@ -71,7 +71,7 @@ def _diagnosed(args: argparse.Namespace, paths: list[str], chosen: ChosenRig) ->
     with stages("diagnosing") as show:
         found = legid.diagnose(runs, chosen, args.seed, args.reference, show, args.workers, args.material,
                                dict(args.fix))
-    for text in found.prepared.warnings:
+    for text in found.prepared.warnings if found.failed else ():  # else the answer has them
         warn(text)
     return found
 

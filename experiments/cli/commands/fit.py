@@ -21,7 +21,7 @@ from experiments.cli.arguments import (
     whole_number,
 )
 from experiments.cli.command import Command, argument, one_of, output
-from experiments.console import busy, warn
+from experiments.console import busy
 
 COMMAND = Command(
     "fit", "identify parameters from runs",
@@ -49,14 +49,15 @@ COMMAND = Command(
 
 def run(args: argparse.Namespace) -> int:
     """Fit. Raises `WorkError` where the fit is no use."""
+    from experiments.judge import Files
+
     if args.each:
         return _each(args)
     runs, chosen = given_runs(args, args.runs)
     with busy(f"fitting {len(runs)} runs by {args.method}"):
         found = legid.fit(runs, chosen, args.method, args.sensors, dict(args.fix), args.latent)
-    for flag in found.fitted.flags:
-        warn(str(flag))
-    return answer(args, found, found.text())
+    files = Files(args.runs, chosen.file, args.model_out)
+    return answer(args, found, found.text(files), files)
 
 
 def _each(args: argparse.Namespace) -> int:

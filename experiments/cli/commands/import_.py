@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import legid
 from daq import InputError, WorkError
-from experiments import exchange, reports
+from experiments import exchange
 from experiments.cli.arguments import AS_READ, FORCE, numbers
 from experiments.cli.command import Command, argument
 from experiments.console import make_directory, printable, text_table, warn
@@ -121,13 +121,13 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
                          "leave --guess out to import by it, or give --force to write it anew")
     found = legid.Guess(exchange.guess_map(exchange.read_imported(args.files[0]), rate_hz=args.rate,
                                            joints=args.joints), args.files[0])
-    print(reports.guess_table(found.found))
+    print(found.table.text)
     print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
                      [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
     found.write(target)
     found.page(page)
-    for warning in [*found.unexplained, *found.warnings]:
-        print(f"warning: {warning}", file=sys.stderr)
+    for warning in (*found.unexplained, *found.warnings):
+        warn(warning)
     if found.unexplained:
         raise WorkError(f"{args.files[0]}: no units and signs explain its columns; {target} is written all the same: "
                         f"correct it, with {page} to judge it by, before you import with it")

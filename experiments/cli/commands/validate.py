@@ -29,8 +29,11 @@ COMMAND = Command(
 
 def run(args: argparse.Namespace) -> int:
     """Simulate and compare."""
+    from experiments.judge import Files
+
     runs, chosen = given_runs(args, args.runs)
     found = legid.validate(args.model, runs, chosen, args.sensors, args.against, args.horizons, args.simulator)
     for text in found.warnings:
         warn(text)
-    return answer(args, found, found.text())
+    files = Files(args.runs, chosen.file, args.model)
+    return answer(args, found, found.text(files), files)

@@ -33,24 +33,25 @@
     }, { passive: true });
   }
 
-  // an axis that is cut shows all of it to whoever zooms in
-  const cut = (given) => (u, min, max) => {
-    const { min: from, max: to } = u.series[0];
-    if (from === given.time[0] && to === given.time.at(-1)) return given.range;
-    return min == null ? [null, null] : uPlot.rangeNum(min, max, 0.1, true);
-  };
+  // marks of an axis with as many digits as its steps have
+  const marks = (u, values, axis, space, step) => values.map((x) => {
+    const digits = Math.ceil(-Math.log10(step) - 1e-9) + 1;
+    return Math.abs(x) < step / 2 ? "0" : digits > 5 || step >= 1e5
+      ? Number(x).toExponential(Math.max(0, Math.round(Math.log10(Math.abs(x))) + digits)).replace(/\.?0*e\+?/, "e")
+      : String(Number(x.toFixed(Math.max(digits, 0))));
+  });
 
   function panel(box, given, lines, y, height) {
     const axis = (label, size) => ({ label, size, labelSize: 22, stroke: () => css("--soft"), labelFont: "12px system-ui",
-      grid: { stroke: () => css("--grid"), width: 1 }, ticks: { stroke: () => css("--grid"), width: 1 }, font: "12px system-ui" });
+      grid: { stroke: () => css("--grid"), width: 1 }, ticks: { stroke: () => css("--grid"), width: 1 }, values: marks, font: "12px system-ui" });
     const size = () => ({ width: Math.max(box.clientWidth, 200), height });
     const number = (u, value) => (value == null ? "–" : String(Number(value.toPrecision(4))));
     const group = given.group;
     const u = new uPlot({
       ...size(),
       cursor: { sync: { key: group }, drag: { x: true, y: false }, points: { size: 6 } },
-      scales: { x: { time: false }, ...(given.range && { y: { range: cut(given) } }) },
-      axes: [axis(given.x, 44), axis(y, 62)],
+      scales: { x: { time: false } },
+      axes: [axis(given.x, 44), { ...axis(y, (u, shown) => 16 + 7 * Math.max(4, ...(shown ?? []).map((x) => x.length))), space: 20 }],
       series: [{ label: given.x, value: number }, ...lines.map((line) => ({
         label: line.label, class: line.band ? "band" : undefined, stroke: line.colour, width: line.width,
         dash: line.dashed ? [6, 4] : undefined, value: number, points: { show: false }, spanGaps: false }))],
@@ -71,7 +72,7 @@
     figure.prepend(box);
     figure.classList.add("drawn");
     panel(box, given, given.lines.filter((line) => !line.below), given.y, 280);
-    if (below.length) panel(box, { ...given, bands: [], range: null }, below, given.below, 190);
+    if (below.length) panel(box, { ...given, bands: [] }, below, given.below, 190);
   }
 
   document.querySelectorAll("figure.chart").forEach(draw);

@@ -91,7 +91,7 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, shell: Shell) -> None:
     page = tmp_path / "page.html"
     found = document("compare", before, after, "--rig", RIG, "--html", page)
     said = shell.out
-    assert said.startswith("Different: torque_delay, delay 0.0") and " s.\n\nFrom before to after:" in said
+    assert said.startswith("Different: torque_delay, delay 0.0") and "\n\nFrom before to after:" in said
     (pair,), files = found["pairs"], found["provenance"]["runs"]
     assert found["schema"] == "legid.sessions/1" and len(files) == 4
     assert pair["a"] == {"name": "before", "runs": ["before 00.csv.gz", "before 02.csv.gz"]}

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from daq import load_rig
 from estimator import Combination, Finding, FitOptions, Trajectory, fit
@@ -60,8 +59,7 @@ def fits(folder: Path) -> dict[str, str]:
 
 
 def test_a_hidden_spring_is_suspected_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
-    assert re.match(r"TRUST the parameters within their intervals, and the model's torque: beta1 is known to \d+ % "
-                    r"\(torque constant 9\.8 %, .*\)\. Calibrate the torque constant first\.$", fits["none"])
+    assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
     assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual is autocorrelated")
 
 
@@ -96,7 +94,8 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     runs = [str(folder / f"none{k}.mcap") for k in range(3)]
     model, page = str(folder / "none.json"), tmp_path / "p.html"
     assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
-    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: the model was fitted to run none0.mcap")
+    assert said("validate", model, runs[0]).startswith(
+        "TRUST WITH CARE for simulation over 5 s: the model was fitted to run none0.mcap")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
     short, *reasons = printed("fit", *runs[:2], "--rig", str(other))
@@ -104,7 +103,7 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     assert any(line.startswith("The rig file contradicts a run: none0.mcap") and "lever_arm_m" in line
                for line in reasons[:reasons.index("")])
     first = said("validate", model, runs[2], "--rig", str(other), "--html", str(page))
-    assert "fitted with lever_arm_m = 0.2, the rig says 0.21" in first
+    assert "lever_arm_m = 0.2, the rig file in use says 0.21, and 1 more" in first
     text = page.read_text()
     assert "lever_arm_m = 0.2, the rig says 0.21" in text[text.index('class="verdict"'):text.index("<h2>")]
     (command,) = re.findall(r'<pre class="command"[^>]*>(.*?)</pre>', text)
@@ -137,16 +136,15 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
     box = found.headline
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
-    long = structs.replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
-    assert long.headline.title == "B IS BETTER" and long.headline.lines[0].startswith("Word word")
 
 
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
     scale, friction = OmittedEffect("gyro_scale", 1e-20, "beta1", 5.81), OmittedEffect("stiction@2", 2e-3, "beta9", 1.2)
     told = fit_trust(replace(synthetic_fit(), omitted=(scale, friction)))
-    assert told.sentence == "DO NOT TRUST the parameters: the residuals look like an effect that the model lacks."
+    assert told.sentence == "DO NOT TRUST the parameters: the model seems to lack an effect."
     assert told.reasons[0] == ("The residuals look like gyro_scale, which the model lacks (p 1e-09); it would move "
-                               "beta1 by 5.8 half widths of its interval. So would 1 other. Run legid diagnose.")
+                               "beta1 by 5.8 half widths of its interval. So would 1 other.")
+    assert told.next_step == "Find what the model lacks: legid diagnose RUN... --rig RIG --html diagnosis.html"
     assert "stiction (joint 2)" in fit_trust(replace(synthetic_fit(), omitted=(friction,))).reasons[0]
 
 
@@ -163,7 +161,7 @@ def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:
     both = fit_trust(replace(noisy, trajectories=tuple(paths)))
     assert both.sentence == ("DO NOT TRUST the parameters: a passive joint has a torque residual, a sensor residual is "
                              "autocorrelated.")
-    assert "residual of gyro_radps is autocorrelated" in both.reasons[1]
+    assert re.match(r"The residual of gyro_radps \(0\.\d+\) is autocorrelated \(limit 0\.2\)\.", both.reasons[1])
     more = replace(noisy, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
     assert fit_trust(more).sentence.endswith("a sensor residual is autocorrelated, and 1 more.")
 

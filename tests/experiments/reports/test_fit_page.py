@@ -149,9 +149,11 @@ def test_unconverged_and_undetermined_fits_say_so() -> None:
     covariance[7, 7] = np.inf
     result = replace(result, covariance=covariance, trajectories=())
     page = render_page("x", fit_summary(document_of(result)), fit_sections(document_of(result), result))
-    assert "DID NOT CONVERGE" in page and "beta8 -0.5*beta6" in page and "Warning: few samples" in page
+    assert "beta8 -0.5*beta6" in page
+    told = document_of(result).headline.told
+    assert told[:2] == ["NOT TO BE USED: the fit did not converge.", "Warning: few samples"]
     text = fit_text(document_of(result))
-    assert "NOT CONVERGED" in text and "not determined by this data: beta8" in text
+    assert "not determined by this data: beta8" in text
     assert result.open_parameters == {"beta6", "beta8"}
     assert "nan" not in text.lower() and "inf" not in text.lower().replace("infinite", "")
 
@@ -212,28 +214,14 @@ def at_rest_first(ringing: float) -> FitResult:
                                                                                  "passive_joint_nm": 0.002})
 
 
-def test_what_rings_at_rest_does_not_set_the_axis() -> None:
+def test_what_rings_at_rest_is_not_drawn() -> None:
     """Dry friction may hold a resting joint against anything, so the model's torque is not known there."""
-    for ringing in (5.0, 0.0):
-        result = at_rest_first(ringing)
-        (section,) = [s for s in fit_sections(document_of(result), result) if s.title == "Torques"]
-        for j, picture in enumerate(section.pictures):
-            lines = {line.label: line.values for line in picture.chart.lines}
-            known, faint = lines["model (mle)"], lines["model near rest, not known"]
-            assert np.isnan(known[:200]).all() and np.isfinite(faint[:200]).all()
-            assert np.isnan(faint[np.isfinite(known)]).mean() > 0.7
-            assert "where dry friction says what it is" in picture.caption
-            if ringing:
-                assert picture.chart.y_range is not None and "The axis is cut" in picture.caption
-                low, high = picture.chart.y_range
-                level = float(result.beta[7 + j])
-                assert low < min(np.nanmin(known), -level) and max(np.nanmax(known), level) < high < 2.0
-                assert json.loads(picture.chart.json)["range"] == pytest.approx([low, high])
-            elif j == 1:
-                assert picture.chart.y_range is None and "cut" not in picture.caption
     result = at_rest_first(5.0)
-    page = render_page("x", "y", fit_sections(document_of(result), result))
-    assert "scatters to 5" in page
+    (section,) = [s for s in fit_sections(document_of(result), result) if s.title == "Torques"]
+    for picture in section.pictures:
+        known = next(line.values for line in picture.chart.lines if line.label == "model (mle)")
+        assert np.isnan(known[:200]).all() and np.nanmax(np.abs(known)) < 2.0
+        assert "where dry friction says what it is" in picture.caption and "is not known" in picture.caption
 
 
 def test_window_takes_the_beginning() -> None:

@@ -32,6 +32,7 @@ from experiments.reports import (
     write_diagnosis,
     write_page,
 )
+from experiments.reports.html import Picture
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
 from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
@@ -235,22 +236,30 @@ def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: B
     assert lines and max(lines) == 1
 
 
-def test_an_axis_that_is_cut_shows_all_to_who_zooms_in(tmp_path: Path, browser: Browser) -> None:
+def test_axes_have_different_marks_whatever_the_size_of_the_values(tmp_path: Path, browser: Browser) -> None:
+    """An error of 10 microradians had an axis of zeros alone, and one just below a mark the single mark 0."""
     t = np.arange(1000) / 100.0
-    line = Line("a", np.where(t < 1.0, 30.0, np.sin(t)), BLUE)
-    picture = picture_lines(t, [line], "y", "c", 5.0, y_range=(-1.5, 1.5))
-    write_page(tmp_path / "p.html", "x", "y", [Section("s", pictures=[picture])])
-    browser.resize(LAPTOP)
-    browser.driver.get((tmp_path / "p.html").as_uri())
+    for size in (3e-9, 1e-5, 0.019, 0.9, 3e4):
+        picture = picture_lines(t, [Line("a", size * np.sin(t), BLUE)], "y", "c", 5.0)
+        write_page(tmp_path / "p.html", "x", "y", [Section("s", pictures=[picture])])
+        browser.resize(LAPTOP)
+        browser.driver.get((tmp_path / "p.html").as_uri())
+        marks = browser.js("uPlot.sync('run').plots[0].axes[1]._values")
+        assert len(set(marks)) == len(marks) >= 3, marks
 
-    def axis(first: float, last: float) -> list[float]:
-        browser.js(f"uPlot.sync('run').plots[0].setScale('x', {{min: {first}, max: {last}}})")
-        return list(browser.js("(y => [y.min, y.max])(uPlot.sync('run').plots[0].scales.y)"))
 
-    whole = (0.0, float(t[-1]))
-    browser.js("uPlot.sync('run').plots[0].setScale('x', {min: 0, max: 0.5})")
-    assert browser.wait(lambda: axis(0.0, 2.0)[1] > 30.0, "the axis follows")
-    assert browser.wait(lambda: axis(*whole) == [-1.5, 1.5], "the axis is cut again")
+def test_a_figure_shares_a_row_with_a_table_only_if_both_have_room(tmp_path: Path, browser: Browser) -> None:
+    """A table of numbers that do not wrap ran under the figure next to it."""
+    header = ["parameter", *["95 % interval"] * 4, "meaning"]
+    table = Table(header, [["torque_offset_1", *["-0.123456 .. 0.123456"] * 4, "reflected inertia"]], range(1, 5))
+    svg = '<svg viewBox="0 0 1 1"></svg>'
+    write_page(tmp_path / "p.html", "x", "y", [Section("s", ["words"], [table], [Picture(svg, "c")])])
+    for width in (1285, 1400, 1900):
+        browser.resize((width, 900))
+        browser.driver.get((tmp_path / "p.html").as_uri())
+        apart = browser.js("(t => (f => f.left >= t.right || f.top >= t.bottom)(document.querySelector('figure')"
+                           ".getBoundingClientRect()))(document.querySelector('table').getBoundingClientRect())")
+        assert apart and browser.js("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_commands_break_at_spaces_alone_and_are_copied_as_typed(tmp_path: Path, browser: Browser) -> None:

@@ -10,9 +10,11 @@ from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.rig import load_rig, parse_rig
 from daq.runs.csv_run import read_csv
+from estimator import fit
 from estimator.result import Finding
 from experiments.documents import FitDocument
-from experiments.judge.trust import fit_trust
+from experiments.judge import model_of
+from experiments.judge.trust import fit_trust, model_contradictions
 from experiments.session import prepare
 from experiments.session.flags import contradictions, require_one_rig
 from experiments.session.runs import load_runs
@@ -57,6 +59,21 @@ def test_what_a_run_was_recorded_on_is_held_against_the_rig_in_use() -> None:
         require_one_rig([run, replace(run, name="other.mcap", recorded_on=other)])
 
 
+def test_a_silent_rig_file_has_the_terms_that_a_fit_chose() -> None:
+    """A validation said "the rig says []" of rotor inertias that the fit itself had chosen."""
+    run, silent = arm_run(0, seconds=3.0), parse_rig(ARM_RIG)
+    chosen = parse_rig(f"{ARM_RIG}[terms]\ntorque_offset = [1]\nencoder_zero = [1]\n")
+    setup = prepare([run], chosen).setup
+    model = model_of(fit(setup.datasets, setup.mechanism, setup.options), setup.settings, "linear", ["r"])
+    assert model.mechanism.torque_offset == model.mechanism.encoder_zero == (1,)
+    found = prepare([run], silent, model=model)
+    assert found.setup.settings == setup.settings and found.setup.options.encoder_zeros == (0,)
+    assert model_contradictions(model.mechanism, found.setup.settings) == []
+    none = prepare([run], parse_rig(f"{ARM_RIG}[terms]\ntorque_offset = []\n"), model=model)
+    assert model_contradictions(model.mechanism, none.setup.settings) == [
+        "the model was fitted with torque_offset = [1], the rig says []"]
+
+
 def test_a_voltage_is_called_so_and_read_again(tmp_path: Path) -> None:
     time = np.arange(60) / 100.0
     angle = {"time_s": time, "q1_rad": 0.1 * np.sin(time)}
@@ -92,7 +109,7 @@ def test_a_fault_of_the_columns_is_the_first_line() -> None:
     told = replace(sound, findings=(Finding("fault", "columns", "gyro and accelerometer contradict each other"),))
     assert fit_trust(told).sentence == "NOT TO BE USED: the columns cannot be right."
     assert fit_trust(told).reasons == ("Gyro and accelerometer contradict each other.",)
-    said = replace(sound, findings=(Finding("warning", "rig_contradiction", "run1 was recorded with x = 1"),))
+    said = replace(sound, findings=(Finding("doubt", "rig_contradiction", "run1 was recorded with x = 1"),))
     assert fit_trust(said).sentence == "DO NOT TRUST the parameters: the rig file contradicts a run."
-    assert fit_trust(said).reasons[0] == "The rig file contradicts a run: run1 was recorded with x = 1."
+    assert fit_trust(said).reasons[0] == "run1 was recorded with x = 1."
     assert document_of(told).trust.level == "bad"

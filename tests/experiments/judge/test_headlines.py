@@ -1,0 +1,127 @@
+"""No two lines of one result disagree: every combination of findings is generated, and its lines are read."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from estimator import Combination, Finding, FitResult, Method, RunAgreement
+from estimator.result import Budget, BudgetPart, OmittedEffect
+from experiments.documents import FitDocument
+from experiments.judge import Headline, Trust, fit_trust, with_fit_trust
+from experiments.judge.headline import counted
+from experiments.models import TrustValues
+from experiments.reports import fit_sections
+from experiments.reports.fit_text import whole_fit_text
+from experiments.reports.html import render_page
+from tests.support.fits import document_of, synthetic_fit
+
+PLAIN = synthetic_fit()
+METHODS: tuple[Method, ...] = ("mle", "wls")
+NOISE = Finding("warning", "noise_share", "40 % of the torque's spread counts as noise")
+RIG = Finding("doubt", "rig_contradiction", "the rig file contradicts a run: r was recorded with x = 1")
+AGAINST = {
+    r"^TRUST": r"missing something|are too narrow|is not known|model lacks|[Nn]ot to be|do not determine",
+    r"^DO NOT TRUST": r"is known to|(?<!NOT )TRUST",
+    r"^NOT TO BE USED": r"is known to|TRUST|good for",
+    r"do not determine": r"good for|determines every|TRUST the parameters within",
+    r"too little to widen": r"disagree about|allow for",
+    r"disagree about": r"too little to widen|agree within",
+    r"not good for torque": r"and the model's torque",
+    r"is rough": r"good for torque feedforward within",
+}
+"""What a line says -> what no other line of the same result may say."""
+
+
+def agreement(kind: str) -> RunAgreement | None:
+    """Of three runs: none asked, in agreement, in disagreement too small to widen an interval, or about beta9."""
+    p, std = PLAIN.mechanism.p, PLAIN.std
+    if kind == "none":
+        return None
+    if kind == "agree":
+        return RunAgreement(("a", "b", "c"), 0.3, std)
+    quantile, seen = np.full(p, 1.959964), np.zeros(p, dtype=bool)
+    if kind == "beta9":
+        quantile[8], seen[8] = 4.303, True
+    by_run = np.tile(PLAIN.beta, (3, 1))
+    return RunAgreement(("a", "b", "c"), 1e-5, std, True, quantile, by_run.mean(axis=0), 0.02 * std, by_run, seen)
+
+
+def fits() -> Iterator[FitResult]:
+    """One for every combination of what a fit may find."""
+    path, = PLAIN.trajectories
+    slow = replace(path, measured={**path.measured,
+                                   "gyro_radps": path.measured["gyro_radps"] + 0.15 * np.sin(0.8 * path.time_s)})
+    rough = replace(path, tau_measured=path.tau_measured + 0.3 * np.random.default_rng(2).normal(size=path.tau.shape))
+    parts = (BudgetPart("noise", np.diag(PLAIN.std)), BudgetPart("torque_gain", 0.02 * PLAIN.beta[None, :], (0.02,)))
+    budget = Budget(parts, np.zeros(PLAIN.mechanism.p), {})
+    one = (Combination((("beta3", 1.0), ("beta8", -0.5))),)
+    for agree, motion, open_, known, told, omitted, method in product(
+            ("none", "agree", "little", "beta9"), (path, slow, rough), ((), one), (None, budget),
+            ((), (NOISE,), (RIG,), (Finding("fault", "columns", "the columns cannot be right"),)),
+            ((), (OmittedEffect("gyro_scale", 1e-20, "beta1", 5.8),)), METHODS):
+        yield replace(PLAIN, agreement=agreement(agree), trajectories=(motion,), undetermined=open_, budget=known,
+                      findings=told, omitted=omitted, method=method, converged=True)
+    yield replace(PLAIN, converged=False)
+
+
+def lines_of(fit: FitDocument) -> list[str]:
+    """What text and page of a fit say in sentences."""
+    page = [*fit.headline.told]
+    for section in fit_sections(without_budget(fit), None):
+        page += [*section.paragraphs, *section.notes]
+    texts = [line.removesuffix(".") for line in (*whole_fit_text(fit).splitlines(), *page)]
+    return [line for line in dict.fromkeys(texts) if line]
+
+
+def without_budget(fit: FitDocument) -> FitDocument:
+    """The same without its budget, whose figure takes a second."""
+    return FitDocument(**{name: getattr(fit, name) for name in fit.__struct_fields__ if name != "budget"})
+
+
+def test_no_two_lines_of_a_fit_disagree() -> None:
+    count = 0
+    for result in fits():
+        lines = lines_of(document_of(result))
+        count += 1
+        for said, never in AGAINST.items():
+            for line in (line for line in lines if re.search(said, line)):
+                wrong = [other for other in lines if other != line and re.search(never, other)]
+                assert not wrong, f"{line!r} and {wrong[0]!r}"
+        head = fit_trust(result).headline
+        assert sum(bool(re.match(r"(TRUST|DO NOT TRUST|NOT )", line)) for line in head.told) == 1
+        assert head.action and not [line for line in head.reasons if "legid " in line]
+        assert len(head.title) <= 120
+    assert count == 769
+
+
+@pytest.mark.parametrize(("sentence", "level", "told"), [
+    ("TRUST for simulation over 15 s: fit 97 % at worst.", "good",
+     "TRUST for simulation over 15 s, not the parameters: fit 97 % at worst."),
+    ("TRUST for predictions of 1 s, not for simulation over 10 s.", "caution",
+     "TRUST for predictions of 1 s, not for simulation over 10 s.")])
+def test_a_validation_has_one_answer_where_the_fit_was_not_trusted(sentence: str, level: str, told: str) -> None:
+    """"DO NOT TRUST the parameters, as their fit said. Free runs: TRUST for simulation over 15 s"."""
+    found = with_fit_trust(Trust(level, sentence), TrustValues(level="bad", reasons=(), sentence=(  # type: ignore[arg-type]
+        "DO NOT TRUST the parameters: two estimators disagree.")))
+    assert found.sentence == told and found.level == "caution"
+    assert not [line for line in found.reasons if "TRUST" in line]
+
+
+def test_a_warning_of_several_runs_stands_once() -> None:
+    alike = [f"r{k}.csv tau2_nm stands at exactly +-1.2 N m in {k + 9.4} % of the samples" for k in range(1, 9)]
+    other = "r1.csv q2_rad stands at exactly +-1.2 N m in 9.4 % of the samples"
+    told = counted([*alike, other, other])
+    assert told == [f"{alike[0]}. Likewise in 7 more: {', '.join(f'r{k}.csv' for k in range(2, 9))}", other]
+
+
+def test_a_head_has_two_lines_below_its_title_and_then_the_next_step() -> None:
+    head = Headline("bad", "DO NOT TRUST", [f"reason {k}" for k in range(9)], ["w"], "Look: legid diagnose r.csv")
+    page = render_page("t", "s", [], verdict=head)
+    box = page[page.index('<div class="verdict"'):page.index("<main>")]
+    shown, folded = box.split("<details>")
+    assert "reason 1" in shown and "reason 2" not in shown and shown.index("reason 1") < shown.index("Next step: Look")
+    assert "<code>legid diagnose r.csv</code>" in shown and "reason 8" in folded and "Warning: w" in folded
