@@ -20,7 +20,6 @@ from experiments.documents.diagnosis_parts import (
     Residual,
     Scored,
     Share,
-    Small,
     cause_of,
     contract_joint,
     gain_of,
@@ -108,7 +107,6 @@ class DiagnosisDocument(Document, kw_only=True):
     budget: Annotated[tuple[Share, ...], Meta(description="parts of the error")] = ()
     immaterial: Annotated[tuple[NamedCause, ...], Meta(
         description="present causes that lower the error by less than `material`")] = ()
-    within_tolerance: Annotated[tuple[Small, ...], Meta(description="small faults, taken off first")] = ()
     remainder: Annotated[Residual | None, Meta(description="place of the residual")] = None
     structure: Annotated[Learnt | None, Meta(description="of the residual, or null")] = None
     probability: Annotated[Number, Meta(description="that the answer is true, [as on simulated legs]"
@@ -147,9 +145,6 @@ class DiagnosisDocument(Document, kw_only=True):
                                share=known(row.share), ci95=row.ci95, of_error=known(row.of_error),
                                of_error_ci95=row.of_error_ci95) for row in found.budget),
             immaterial=tuple(map(cause_of, found.immaterial)),
-            within_tolerance=tuple(Small(effect=one.effect, joint=contract_joint(one.effect, one.joint), name=one.name,
-                                         unit=one.unit, value=one.value, tolerance=one.tolerance)
-                                   for one in found.within_tolerance),
             remainder=None if found.remainder is None else Residual(
                 joint=found.remainder.joint, channel=found.remainder.channel, depends_on=found.remainder.depends_on),
             structure=learnt_of(found.structure), probability=found.probability,

@@ -118,17 +118,6 @@ class Share(Struct, frozen=True, kw_only=True):
     of_error_ci95: Annotated[tuple[Number, Number], Meta(description="its 95 % interval")] = (0.0, 0.0)
 
 
-class Small(Struct, frozen=True, kw_only=True):
-    """One size of a sensor's fault within its tolerance."""
-
-    effect: Annotated[str, Meta(description="of the library")]
-    joint: Place
-    name: Annotated[str, Meta(description="the size")]
-    unit: Annotated[str, Meta(description="of both")]
-    value: Annotated[float, Meta(description="taken off")]
-    tolerance: Annotated[float, Meta(description="1 sigma")]
-
-
 class Residual(Struct, frozen=True, kw_only=True):
     """Place of the residual."""
 

@@ -44,7 +44,6 @@ from experiments.reports.diagnosis_text import (
     rotation_words,
     size_table,
     size_text,
-    small_table,
     untestable_section,
 )
 from experiments.reports.figures import on_paper
@@ -86,13 +85,11 @@ def diagnosis_sections(found: DiagnosisDocument, kept: Diagnosis | None = None) 
     """All sections, folded, in the order of the questions; those that have nothing to show are left out. Curves over
     time and space come from the result that was `kept`. One figure leads the page."""
     kept = kept or Diagnosis(found.verdict, found.sentence)
-    small = small_table(found)
     uses = {"fitted; all causes were chosen by them": found.runs.fit,
             "held out until the causes were chosen": found.runs.confirm}
     return fold(
-        Section(causes_title(found), (), [table for table in (size_table(found.causes), replace(
-            small, caption=small.caption[:1].lower() + small.caption[1:])) if table.rows], (),
-            [_about(cause) for cause in found.causes]),
+        Section(causes_title(found), (), [size_table(found.causes)] if found.causes else [], (),
+                [_about(cause) for cause in found.causes]),
         structure_section(found, kept.structure), _sketch(kept), _budget(found), _errors(found, kept),
         _candidates(found, kept), _signatures(kept), _traces(found, kept), _separability(kept),
         _parameters(found, kept), Section("Next experiment", [*filter(None, [found.next_experiment])]),

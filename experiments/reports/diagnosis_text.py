@@ -27,8 +27,6 @@ from experiments.reports.html import Section, Table
 from experiments.reports.structure import USE, structure_table, structure_words
 
 RUNNERS_UP = 5
-WORTH = 0.5
-"""Of a tolerance: smaller sizes are not in the table."""
 PARAMETERS = "The nominal parameters absorb part of the missing effects. These shifts are their bias."
 
 
@@ -80,14 +78,6 @@ def candidate_label(candidate: Scored) -> str:
 def hold_words(found: DiagnosisDocument) -> str:
     """Sentence on how torque was taken to act between samples; empty where nothing was fitted."""
     return f"Torque acts between samples by the '{found.hold}' hold." if found.hold else ""
-
-
-def small_table(found: DiagnosisDocument) -> Table:
-    """One row for each size within the rig's tolerances that is worth a line."""
-    return Table(["effect", "size", "value", "tolerance (1 sigma)", "unit"], [
-        [effect_label(one.effect, one.joint), one.name, f"{one.value:.3g}", f"{one.tolerance:.3g}", one.unit]
-        for one in found.within_tolerance if abs(one.value) >= WORTH * one.tolerance], {2, 3},
-        "Within the rig's tolerances, taken off the readings before anything was tried")
 
 
 def error_table(sensors: Mapping[str, SensorGain], caption: str = "") -> Table:
@@ -181,9 +171,7 @@ def rotation_table(found: DiagnosisDocument) -> Table:
 
 
 def causes_title(found: DiagnosisDocument) -> str:
-    """Title of the list of causes; without any there are only warnings."""
-    if not found.causes:
-        return "Small faults and warnings" if small_table(found).rows else "Warnings"
+    """Title of the list of causes."""
     return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
 
 
@@ -233,7 +221,7 @@ def short_diagnosis_text(found: DiagnosisDocument) -> str:
 
 def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
     """Text after `legid diagnose`: the verdict first. The next step names `files`."""
-    pieces, small, extended = found.gain.pieces, small_table(found), found.causes and found.parameters.extended
+    pieces, extended = found.gain.pieces, found.causes and found.parameters.extended
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(found.runs).items() if names)
     blocks = [
         with_names(found.headline.text, files),
@@ -244,7 +232,6 @@ def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
         causes_text(found),
         _titled(PARAMETERS, parameter_table(found)) if extended else "",
         _titled("Present, not material:", size_table(found.immaterial)),
-        _titled(f"{small.caption}:", small),
         "\n".join(filter(None, [errors_on_held_out(found), gap_text(found)])),
         "" if pieces is UNSET else _titled(f"The same runs, {piece_words(pieces)[0]}:", piece_table(pieces),
                                            piece_words(pieces)[1]),

@@ -14,7 +14,6 @@ from estimator.diagnosis import (
     SizeEstimate,
     Trace,
 )
-from estimator.diagnosis.result import SmallSize
 
 NAMES = tuple(f"beta{k}" for k in range(1, 10))
 
@@ -57,8 +56,6 @@ def synthetic() -> Diagnosis:
                 BudgetRow("cause", 0.9, (0.8, 0.97), "stribeck_friction", 2, 0.8, (0.7, 0.87)),
                 BudgetRow("remainder", 0.1, (0.03, 0.2), None, None, 0.08, (0.02, 0.17)),
                 BudgetRow("noise", 0.125, (0.1, 0.2), None, None, 0.12, (0.08, 0.17))),
-        within_tolerance=(SmallSize("gyro_scale", None, "scale_error", "1", 0.0088, 0.01),
-                          SmallSize("encoder_offset", 2, "offset", "rad", 0.0004, 0.003)),
         error=(3.0, 1.2), remainder=Remainder(1, "torque1", "q v"),
         immaterial=(Cause("sensor_time_skew", None, "the IMU is late against encoder and torque",
                           (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),),
