@@ -68,7 +68,7 @@ class Explanation:
         return np.asarray(stdtrit(self.left.freedom, 0.975) * np.sqrt(np.diag(self.covariance)))
 
     def weighed(self) -> Explanation:
-        """With effects `within` the tolerances of the rig all of whose sizes have zero in their intervals, too."""
+        """The explanation with effects all of whose sizes have zero in their intervals `within` the tolerances, too."""
         every = zip(self.model.named, self.model.sizes(), self.model.places())
         return replace(self, within=self.within | {e.key for e, size, here in every if np.all(
             np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])})

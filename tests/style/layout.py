@@ -36,7 +36,7 @@ LINES, TOO_LONG = 400, 500
 """Beyond the first a file is due to be split by meaning, which `make lint` says; beyond the second it is refused."""
 CLI = "experiments.cli"
 """The commands stand above `legid`, whose verbs they call."""
-OF_DAQ = {"Dataset", "FloatArray", "Loop"}
+OF_DAQ = {"BoolArray", "Dataset", "FloatArray", "IndexArray", "Loop"}
 """What the estimator knows of daq."""
 FILES = sorted(p for floor in FLOORS for p in (ROOT / floor).rglob("*.py"))
 BESIDE = sorted(p for folder in ("tests", "evidence") for p in (ROOT / folder).rglob("*.py"))
