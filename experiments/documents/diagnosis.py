@@ -71,7 +71,7 @@ class Parameters(Struct, frozen=True, kw_only=True):
         own: dict[str, dict[str, Any]] = {}
         for model, values, std in (("nominal", found.nominal, found.nominal_std),
                                    ("extended", found.extended, found.extended_std)):
-            every = {name: normal(values[name], spread) for name, spread in std.items()}
+            every = {name: normal(value, std[name]) for name, value in values.items() if name in std}
             own |= {model: dict(values), f"{model}_std": {name: known(one.std) for name, one in every.items()},
                     f"{model}_ci95": {name: (known(one.low), known(one.high)) for name, one in every.items()}}
         return cls(**own)

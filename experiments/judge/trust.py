@@ -102,8 +102,10 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
 
 
 def _in_short(suspect: Sequence[str]) -> str:
-    """The first kinds of suspect results, and how many more there are."""
-    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in suspect))
+    """The first kinds of suspect results, in the order of their steps, and how many more there are."""
+    order = [*STEPS]
+    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in sorted(suspect, key=lambda kind: (
+        order.index(kind) if kind in order else len(order)))))
     return ", ".join(kinds[:NAMED]) + f", and {len(kinds) - NAMED} more" * (len(kinds) > NAMED)
 
 

@@ -131,20 +131,17 @@ def test_the_button_takes_the_torque_and_refuses_to_arm(wired: Wired) -> None:
     wired.drive()
 
 
-@pytest.mark.parametrize("function, code", [("leg_poll", HANG), ("leg_sample", HANG), ("current_loop", RETURN),
-                                            ("board_tick_us", None)])
+@pytest.mark.parametrize(("function", "code"), [("leg_poll", HANG), ("leg_sample", HANG), ("current_loop", RETURN)])
 def test_the_hardware_watchdog_resets_a_board_of_which_a_part_stands_still(wired: Wired, function: str,
-                                                                           code: bytes | None) -> None:
-    """The main loop hangs, the current loop runs no more, or no time-out that counts with the tick would ever end: no
-    torque, and a new boot, whatever the host sends, and without a host."""
+                                                                           code: bytes) -> None:
+    """The main loop hangs, or the current loop runs no more: no torque, and a new boot, whatever the host sends."""
     wired.drive()
     before, resets = wired.controller.hello, wired.board.resets
-    right = wired.board.patch(function, code or returns(wired.board.trace().loop_us))
+    right = wired.board.patch(function, code)
     try:
         assert wired.board.zero_after_s(time.monotonic()) < PROMISED_S
-        if code:
-            wired.until(lambda: wired.controller.hello != before, "rebooted", lambda: wired.controller.command(0.5))
-            assert wired.board.bridge_nm() == 0.0
+        wired.until(lambda: wired.controller.hello != before, "rebooted", lambda: wired.controller.command(0.5))
+        assert wired.board.bridge_nm() == 0.0
         # the emulator tells of a reset when it comes to it, which may be after the new boot's first words
         wired.until(lambda: wired.board.bridge_nm() == 0.0 and wired.board.resets > resets, "reset told")
     finally:
@@ -152,7 +149,22 @@ def test_the_hardware_watchdog_resets_a_board_of_which_a_part_stands_still(wired
     wired.controller.telemetry = None
     wired.until(lambda: wired.controller.telemetry, "alive again", lambda: wired.controller.command(0.5))
     assert not wired.controller.armed and wired.board.bridge_nm() == 0.0
-    assert not code or wired.controller.hello.boot_id != before.boot_id
+    assert wired.controller.hello.boot_id != before.boot_id
+
+
+def test_a_tick_that_stands_still_resets_the_board(wired: Wired) -> None:
+    """No time-out that counts with it would ever end, and the host is gone."""
+    wired.drive()
+    resets = wired.board.resets
+    right = wired.board.patch("board_tick_us", returns(wired.board.trace().loop_us))
+    try:
+        assert wired.board.zero_after_s(time.monotonic()) < PROMISED_S
+        wired.until(lambda: wired.board.bridge_nm() == 0.0 and wired.board.resets > resets, "reset told")
+    finally:
+        wired.board.patch("board_tick_us", right)
+    wired.controller.telemetry = None
+    wired.until(lambda: wired.controller.telemetry, "alive again", lambda: wired.controller.command(0.5))
+    assert not wired.controller.armed and wired.board.bridge_nm() == 0.0
 
 
 def test_it_says_what_it_limits(wired: Wired) -> None:

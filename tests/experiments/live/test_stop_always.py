@@ -52,8 +52,8 @@ class FailingRig:
 
 
 @pytest.fixture(scope="module")
-def rig(module_path: Path) -> Iterator[FailingRig]:
-    rig = FailingRig(module_path)
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FailingRig]:
+    rig = FailingRig(tmp_path_factory.mktemp("stop"))
     yield rig
     rig.close()
 
@@ -99,7 +99,7 @@ def names(out: Path) -> None:
     (out / '"><img src=x onerror=alert(1)>.mcap').write_bytes(b"")
 
 
-REAL = {
+REAL: dict[str, Callable[[Path], None]] = {
     "dangling link": dangling, "circular links": circular, "pipes": pipes, "folders": folders, "names": names}
 
 
@@ -173,6 +173,8 @@ def idle(rig: FailingRig) -> None:
 @needs_browser
 @pytest.mark.parametrize("name", [*REAL, "vanishing files", "socket of the page", *PARTS])
 def test_stop_is_enabled_and_stops_while_something_fails(rig: FailingRig, page: Browser, name: str) -> None:
+    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
+    page.click("start")
     with failing(rig, page, name):
         stop_works(rig, page)
     page.wait(lambda: page.text("phase") not in ("Opening devices", "Recording", "Stopping"), "the run has ended")
@@ -181,6 +183,8 @@ def test_stop_is_enabled_and_stops_while_something_fails(rig: FailingRig, page: 
 @needs_browser
 @pytest.mark.parametrize("name", ["dangling link", "runs: file vanished", "readings", "buttons", "list of runs"])
 def test_a_page_opened_while_something_fails_stops_and_releases(rig: FailingRig, page: Browser, name: str) -> None:
+    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
+    page.click("start")
     with failing(rig, page, name):
         page.wait(rig.drives, "the motor is driven")
         page.driver.refresh()
