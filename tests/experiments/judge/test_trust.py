@@ -163,7 +163,8 @@ def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:
                              "autocorrelated.")
     assert re.match(r"The residual of gyro_radps \(0\.\d+\) is autocorrelated \(limit 0\.2\)\.", both.reasons[1])
     more = replace(noisy, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
-    assert fit_trust(more).sentence.endswith("not all are determined, a passive joint has a torque residual, and 1 more.")
+    assert fit_trust(more).sentence.endswith("not all are determined, a passive joint has a torque residual, and 1 "
+                                             "more.")
 
 
 def prediction(error: float, short: float) -> PredictedRun:
