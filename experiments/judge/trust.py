@@ -104,7 +104,8 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
 def _in_short(suspect: Sequence[str]) -> str:
     """The first kinds of suspect results, in the order of their steps, and how many more there are."""
     order = {kind: k for k, kind in enumerate(STEPS)}
-    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in sorted(suspect, key=lambda kind: order.get(kind, len(order)))))
+    first = sorted(suspect, key=lambda kind: order.get(kind, len(order)))
+    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in first))
     return ", ".join(kinds[:NAMED]) + f", and {len(kinds) - NAMED} more" * (len(kinds) > NAMED)
 
 
