@@ -98,7 +98,8 @@ def fit_text(fit: FitDocument) -> str:
     """Text after a fit, below its first lines."""
     lines = [*([prior_sentence(fit), ""] if fit.prior else []),
              f"{fit.model}, {fit.method}, sensors {fit.sensors}: {samples_text(fit)}, "
-             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s", "",
+             f"{fit.iterations} iterations, {finite(fit.wall_s):.2f} s, "
+             + ("converged" if fit.converged else "NOT CONVERGED"), "",
              parameter_table(fit).text, ""]
     if fit.noise:
         lines.append("noise (1 sigma): " + ", ".join(

@@ -55,7 +55,7 @@ def told(said: str, begin: str) -> str:
 
 
 def values(said: str) -> list[float]:
-    return [float(line.split()[1]) for line in said.splitlines() if re.match(r"beta[1-5] ", line)]
+    return [float(line.split()[1]) for line in said.splitlines() if re.match(r"beta[1-5] +[-0-9]", line)]
 
 
 def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,7 +61,7 @@ def test_fit_and_validate_go_on_without_it(tmp_path: Path, shell: Shell) -> None
     rig, model = tmp_path / "rig.toml", tmp_path / "model.json"
     rig.write_text(ARM_RIG)
     found = document("fit", *runs, "--rig", rig, "--model-out", model)
-    assert "warning: bad.csv is set aside: joint 2 never moves" in shell.out
+    assert "Warning: bad.csv is set aside: joint 2 never moves" in shell.out
     assert [a["run"] for a in found["set_aside"]] == ["bad.csv"]
     assert np.allclose([p["value"] for p in found["parameters"][:5]], BETA[:5], rtol=0.03)
     found = document("validate", model, *runs[3:], "--rig", rig)
