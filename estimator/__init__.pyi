@@ -1,9 +1,9 @@
 from .diagnosis.procedure import diagnose as diagnose
 from .diagnosis.result import Diagnosis as Diagnosis
 from .effects.base import Effect as Effect
-from .errors import FIT_ERRORS as FIT_ERRORS
 from .errors import FitError as FitError
 from .errors import GapError as GapError
+from .fit_errors import FIT_ERRORS as FIT_ERRORS
 from .fitting.fit import fit as fit
 from .methods import METHODS as METHODS
 from .methods import Method as Method

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 
 class FitError(Exception):
     """The fit cannot be done on this data; the message says what is missing in one line."""
@@ -15,7 +13,3 @@ class ScaleError(FitError):
 
 class GapError(FitError):
     """Every segment of the data without a gap is too short."""
-
-
-FIT_ERRORS = FitError, np.linalg.LinAlgError
-"""What a fit raises that cannot be done, or whose equations have no solution."""

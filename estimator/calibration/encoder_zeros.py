@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions

@@ -28,7 +28,7 @@ from estimator.change.verdict import (
     likeliest_changes,
     with_errors,
 )
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.loops import LawSizes, changed_law, volts_of, without_changes
 from estimator.model import Mechanism
 from estimator.options import FitOptions

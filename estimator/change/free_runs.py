@@ -15,7 +15,8 @@ from daq import Dataset, FloatArray
 from estimator.change.noise import LogLevels, compare_noise
 from estimator.change.result import LevelChange
 from estimator.change.scores import ReferenceFit
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.prediction import SHORT_S, predict_run, smooth, tabulate
 from estimator.score import Score, total
 

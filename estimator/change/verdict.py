@@ -16,7 +16,7 @@ from estimator.change.payload import fieller
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange, Size
 from estimator.change.scores import ReferenceFit
 from estimator.change.structure import Structure
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.score import ALPHA, HIDDEN, Score
 
 POWER = 0.8

@@ -25,7 +25,8 @@ from estimator.diagnosis.model import (
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.result import CandidateScore
 from estimator.effects import Effect
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.likelihood import Candidate
 from estimator.prediction import PredictedRun
 from estimator.score import (

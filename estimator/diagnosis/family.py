@@ -24,7 +24,8 @@ from estimator.diagnosis.search import explained, pairs_of, with_one_more
 from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
 from estimator.effects import SensorTimeSkew
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise
 from estimator.score import NO_TESTS

@@ -45,7 +45,8 @@ from estimator.diagnosis.model import (
     refit,
 )
 from estimator.diagnosis.train_errors import train_table
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
 from estimator.prediction import SHORT_S, PredictedRun, tabulate, together

@@ -7,7 +7,7 @@ from dataclasses import replace
 from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.prediction import RunSignals, find_structure
 
 

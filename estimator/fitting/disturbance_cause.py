@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import BoolArray
 from estimator.effects import Effect
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.disturbance import (
     Disturbance,
     disturbance_likelihood,

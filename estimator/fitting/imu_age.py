@@ -13,7 +13,7 @@ import numpy as np
 
 from daq import BoolArray, FloatArray
 from estimator.effects import SensorTimeSkew
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.loop_terms import extended

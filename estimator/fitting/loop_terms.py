@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import BoolArray, FloatArray, Loop
 from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Stage, State, log_marginal

@@ -23,7 +23,8 @@ from itertools import pairwise
 import numpy as np
 
 from daq import BoolArray, Dataset
-from estimator.errors import FIT_ERRORS, FitError
+from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq import BoolArray
-from estimator.errors import FIT_ERRORS
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion

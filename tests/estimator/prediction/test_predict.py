@@ -132,7 +132,7 @@ def test_validate_prints_horizons_with_baseline_noise_and_another_model(tmp_path
     shell.read()
     found = document("validate", model, *runs[1:], "--rig", rig, "--against", other, "--horizons 0.25,0.1")
     printed = shell.read()
-    assert "model.json was fitted to run1.csv" in printed.err and "run2.csv" not in printed.err
+    assert "the model was fitted to run run1.csv" in printed.out and "fitted to run run2.csv" not in printed.out
     assert "last velocity" in printed.out and "noise alone" in printed.out
     assert found["fitted_to"] == ["run1.csv"]
     assert [h["horizon_s"] for h in found["horizons"]] == pytest.approx([0.1, 0.25, 1.0, 5.99])

@@ -83,8 +83,8 @@ def test_the_rig_of_the_run_is_compared_with_the_one_given(
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
     shell("fit", folder / "run.mcap", "--method wls --rig", other)
-    error = shell.err
-    assert "run.mcap was recorded with imu.lever_arm_m = 0.2" in error and "says 0.1" in error
+    said = shell.out
+    assert "run.mcap was recorded with imu.lever_arm_m = 0.2" in said and "says 0.1" in said
     monkeypatch.chdir(tmp_path)
     shutil.copy(folder / "run.mcap", tmp_path / "run.mcap")
     shell("fit run.mcap --method wls")

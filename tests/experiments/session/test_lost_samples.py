@@ -83,7 +83,7 @@ def test_a_fit_of_a_run_with_lost_samples_is_right(tmp_path: Path, shell: Shell)
           tmp_path / "rig.toml")
     said = shell.out
     assert "against the other columns at about" in said
-    beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1")).split()[1])
+    beta1 = float(next(line for line in said.splitlines() if line.startswith("beta1  ")).split()[1])
     assert beta1 == pytest.approx(0.05, rel=0.1)
 
 
