@@ -137,7 +137,7 @@ def _sensor_findings(result: FitResult) -> list[Finding]:
     if passive > driven > 0.0:
         found.append(Finding("doubt", "passive_joint", "the torque residual of a joint without a motor is "
                              f"{passive:.2g} N m, above the torque noise of the driven joint ({driven:.2g} N m): the "
-                             "model or a sensor is wrong. Run legid diagnose"))
+                             "model or a sensor is wrong"))
     far = {name: float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
            for name, residuals in residuals_of(result).items() if not name.startswith("torque")}
     if over := [f"{name} ({r:.2f})" for name, r in far.items() if r > STRONG]:
