@@ -43,7 +43,7 @@ class Explanation:
     scores: tuple[Score, ...] = ()
     """(R,) of its own parameters, one a train run"""
     within: frozenset[str] = frozenset()
-    """Keys of its effects whose sizes the tolerances of the rig hold; see also `weighed`"""
+    """Keys of its effects whose sizes the tolerances of the rig hold; see also `with_zero_within`"""
 
     @property
     def keys(self) -> frozenset[str]:
@@ -67,7 +67,7 @@ class Explanation:
         """(m,) of their 95 % intervals, by Student's t of their own scatter between runs."""
         return np.asarray(stdtrit(self.left.freedom, 0.975) * np.sqrt(np.diag(self.covariance)))
 
-    def weighed(self) -> Explanation:
+    def with_zero_within(self) -> Explanation:
         """The explanation with effects all of whose sizes have zero in their intervals `within` the tolerances, too."""
         every = zip(self.model.named, self.model.sizes(), self.model.places())
         return replace(self, within=self.within | {e.key for e, size, here in every if np.all(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from drivers import Hello, Message, Telemetry, describe_faults
 from drivers.protocol import MAX_FRAME, Arm, Decoder, Fault, TorqueCommand, encode
+from tests.support.wire_by_hand import crc_ccitt_false
 
 TELEMETRY = Telemetry(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 HELLO = Hello(1, 7, 500, 50.0, 2.0, 1000)
@@ -82,12 +83,7 @@ def test_counters_name_what_was_dropped() -> None:
 
 
 def crc(data: bytes) -> bytes:
-    value = 0xFFFF
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x1021) & 0xFFFF if value & 0x8000 else value << 1
-    return value.to_bytes(2, "little")
+    return crc_ccitt_false(data).to_bytes(2, "little")
 
 
 def test_the_tail_of_a_frame_under_way_is_not_an_error() -> None:

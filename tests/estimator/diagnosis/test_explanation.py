@@ -171,4 +171,4 @@ def test_a_size_that_the_tolerances_do_not_tell_from_zero_is_no_fault(halves: tu
                                                                      kept: tuple[str, ...]) -> None:
     one = explained(900.0, "spring", "offset")  # both of size 9
     vars(one)["half_widths"] = np.array(halves)
-    assert one.weighed().beyond == set(kept)
+    assert one.with_zero_within().beyond == set(kept)
