@@ -18,9 +18,8 @@ from zlib import crc32
 import msgspec
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
-from daq import Column, Dataset, Flag, FloatArray, InputError, comment, quoted, read_bytes
+from daq import Column, Dataset, Flag, FloatArray, IndexArray, InputError, comment, quoted, read_bytes
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwrapped_counter
 from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.imported import ImportedFile, Table, Wrong
@@ -273,7 +272,7 @@ def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: fl
     return time_s - time_s[0] if (column.unit, column.scale) != ("", 1.0) else time_s
 
 
-def _increasing(where: str, time_s: FloatArray) -> NDArray[np.intp]:
+def _increasing(where: str, time_s: FloatArray) -> IndexArray:
     """Rows whose time is known and later than all before. Raises `InputError` where those are not nearly all."""
     known = np.where(np.isfinite(time_s), time_s, -np.inf)
     latest = np.maximum.accumulate(np.concatenate(([-np.inf], known[:-1])))

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
-from daq import Column, Dataset, FloatArray
+from daq import BoolArray, Column, Dataset, FloatArray
 from estimator.model import chain
 from experiments.exchange.guess_chain import regressor
 from experiments.exchange.guess_physics import (
@@ -86,7 +85,7 @@ class Motion(Way):
     """(n,) as z makes it"""
 
 
-def readings(raw: Dataset, use: NDArray[np.bool_], scales: Mapping[str, float], push: FloatArray | None
+def readings(raw: Dataset, use: BoolArray, scales: Mapping[str, float], push: FloatArray | None
              ) -> list[Motion]:
     """The equation of motion with q1_rad times each of `scales` (unit -> factor): `push` (n,), or without it the
     acceleration, by inertia, viscous and Coulomb friction, and gravity along two axes."""

@@ -6,9 +6,8 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Column, FloatArray, InputError
+from daq import BoolArray, Column, FloatArray, InputError
 from daq.runs import MOST, unwrapped_counter
 from experiments.exchange.column_map import TIME
 from experiments.exchange.imported import ImportedFile
@@ -88,7 +87,7 @@ def lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inpu
                           "write the map by hand, see docs/exchange.md"))
 
 
-def usable(values: FloatArray) -> NDArray[np.bool_]:
+def usable(values: FloatArray) -> BoolArray:
     """(n,) True for numbers that a reading may have."""
     return np.isfinite(values) & (np.abs(values) <= MOST)
 

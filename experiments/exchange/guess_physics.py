@@ -9,10 +9,9 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from daq import Column, Dataset, FloatArray
+from daq import BoolArray, Column, Dataset, FloatArray
 from estimator.calibration import TRIED
 from estimator.model import leg2
 from estimator.signals import lowpass
@@ -196,9 +195,9 @@ def smooth(x: FloatArray, rate_hz: float) -> FloatArray:
     return lowpass(filled(x), min(FAST_HZ, 0.2 * rate_hz), rate_hz)
 
 
-def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
+def inside(run: Dataset, names: list[str]) -> BoolArray:
     """(n,) True away from gaps of `names` that are no straight lines, without a second at each end of a long record."""
-    def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
+    def reached(where: BoolArray, seconds: float) -> BoolArray:
         return binary_dilation(where, np.ones(2 * round(seconds * run.rate_hz) + 1, bool))
 
     use = ~reached(~reached(~run.gap(names), 0.5 * BRIDGED_S), 0.5 * BRIDGED_S + RING_S)
@@ -321,7 +320,7 @@ def overruled(column: Column, ways: Iterable[Way], unit: str, what: str) -> list
         f"{100 * left[unit]:.0f} % of {what}, not {100 * left[column.unit]:.0f} %: {unit or 'rad'} is taken"]
 
 
-def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, use: NDArray[np.bool_], rate_hz: float, gravity: float
+def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, use: BoolArray, rate_hz: float, gravity: float
               ) -> tuple[float, FloatArray, FloatArray]:
     """What tau = Z beta with least squares leaves of the torque, as a share; beta (9,); the torque that it makes (n,).
 

@@ -19,7 +19,6 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 
 from daq import FloatArray
@@ -192,7 +191,7 @@ class Eliminated:
     """(n, 2, 4, n, N - 1) of the equation of motion, unscaled."""
 
 
-def _banded(diagonal: FloatArray, lower: FloatArray) -> NDArray[np.float64]:
+def _banded(diagonal: FloatArray, lower: FloatArray) -> FloatArray:
     """Lower band form of a symmetric block-tridiagonal matrix; diagonal (N, b, b), lower (N - 1, b, b)."""
     count, b, _ = diagonal.shape
     band = np.zeros((2 * b, count * b))

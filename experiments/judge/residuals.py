@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.likelihood import Noise, Process, held_variance
 from estimator.numerics import correlate
@@ -83,7 +82,7 @@ def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequen
     return Correlation(what, lags, correlate(residuals, inputs, lags), band)
 
 
-def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_]:
+def open_torque(result: FitResult, path: Trajectory, j: int) -> BoolArray:
     """(n,) samples near rest at which dry friction of joint `j`, from 0, may balance more torque than its noise.
 
     The model does not determine the torque there, so the residual does not count.

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import FloatArray
+from daq import BoolArray, FloatArray
 from estimator import RESIDUAL_LAGS, FitResult, Trajectory
 from estimator.model import Mechanism
 from experiments.documents import FitDocument
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIGURE_SECONDS = 12.0
-BoolArray = NDArray[np.bool_]
 SENSOR_LABELS = {
     "gyro_radps": "gyro [rad/s]", "accel_x_mps2": "accelerometer x [m/s²]", "accel_y_mps2": "accelerometer y [m/s²]",
 }

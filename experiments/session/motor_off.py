@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import Dataset, Flag, Rig
+from daq import BoolArray, Dataset, Flag, Rig
 from daq.runs import ENABLED, VOLTAGE
 
 ON = 0.99
@@ -55,6 +54,6 @@ def _asked(data: Dataset) -> str:
             f"the motor was off, add {ENABLED} (1 on, 0 off)")
 
 
-def _segments(where: NDArray[np.bool_]) -> list[slice]:
+def _segments(where: BoolArray) -> list[slice]:
     edges = np.diff(np.concatenate(([False], where, [False])).astype(np.int8))
     return [slice(int(a), int(b)) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1))]

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
-from daq import Dataset, Disturbance, InputError, Rig, did_you_mean, joint_count
+from daq import Dataset, Disturbance, FloatArray, InputError, Rig, did_you_mean, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_hanging, find_zeros, subtract, zeros_text
@@ -44,7 +43,7 @@ class Setup:
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
              fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
-             beta: NDArray[np.float64] | None = None) -> Setup:
+             beta: FloatArray | None = None) -> Setup:
     """Mechanism and options of `rig` for runs in memory, with the encoder zeros that it declares subtracted.
 
     The zeros are estimated with a known `beta` (p,), else together with beta. Raises `InputError`, and `FitError` if
@@ -112,7 +111,7 @@ def hold_of(ticks: float) -> str:
     return "smooth" if ticks > 1.5 * ticks_of(nearest) else nearest
 
 
-def zeroed(setup: Setup, beta: NDArray[np.float64] | None = None) -> Setup:
+def zeroed(setup: Setup, beta: FloatArray | None = None) -> Setup:
     """`setup` less the encoders' zeros that its options declare to be unknown; see `find_zeros`.
 
     Where neither a model nor gravity shows what is common to all runs, their differences are taken off.
