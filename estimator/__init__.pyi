@@ -21,6 +21,10 @@ from .result import LoopTerm as LoopTerm
 from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise
 from .result import Trajectory as Trajectory
+from .use import ENOUGH as ENOUGH
+from .use import Use as Use
+from .use import best_first as best_first
+from .use import use_of_parameters as use_of_parameters
 from .verdicts import CAUSED as CAUSED
 from .verdicts import EVERY_VERDICT as EVERY_VERDICT
 from .verdicts import VERDICTS as VERDICTS

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from daq import BoolArray, FloatArray
 from estimator.methods import ResultMethod
 from estimator.model import Mechanism
+from estimator.use import Use
 
 TWO_SIDED = 1.959963984540054
 """Standard deviations to either side of a 95 % interval: the normal distribution's quantile at 0.975."""
@@ -227,6 +228,15 @@ class HeldOut:
     """Seconds predicted."""
 
 
+class LeftOut(NamedTuple):
+    """The fit without a part of its data."""
+
+    where: slice
+    """The samples of that part: of a run, or of a part of a single run"""
+    beta: FloatArray
+    """(p,) parameters by the others"""
+
+
 @dataclass(frozen=True)
 class LoopTerm:
     """One value of a position loop that a fit has estimated together with the parameters."""
@@ -287,6 +297,11 @@ class FitResult:
     agreement: RunAgreement | None = None
     """Whether the runs agree; the covariance has in it what they disagree about. None: the method does not ask."""
 
+    left_out: tuple[LeftOut, ...] = ()
+    """The fit without each run, to first order; empty where the method has none, or one part determines what no other
+    does."""
+    uses: tuple[Use, ...] = ()
+    """What the model is good for, by data that it was not fitted to; empty where nobody has asked."""
     run_noise: RunNoise | None = None
     """Where runs have levels of their own, each weighs by its own; `noise` is then their root mean square over samples.
     None: all runs have those."""

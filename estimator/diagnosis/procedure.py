@@ -42,6 +42,7 @@ from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.train_errors import train_table
+from estimator.diagnosis.uses import with_uses
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
@@ -117,7 +118,8 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
     base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, found, begun.generic, rng)
-    return replace(with_structure(concluded, context.nominal), mechanism=context.nominal.split.mechanism)
+    whole = with_uses(with_structure(concluded, context.nominal), context.nominal)
+    return replace(whole, mechanism=context.nominal.split.mechanism)
 
 
 class Begun(NamedTuple):

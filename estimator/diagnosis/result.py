@@ -12,6 +12,7 @@ from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.effects import Effect
 from estimator.model import Mechanism
 from estimator.prediction import Structure
+from estimator.use import Use
 from estimator.verdicts import Verdict
 
 
@@ -183,6 +184,8 @@ class Diagnosis:
     extended_beta: FloatArray = field(default_factory=lambda: np.zeros(0))
     extended_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(p + sizes, p + sizes)"""
+    uses: tuple[Use, ...] = ()
+    """What the model is good for, by the test runs"""
     noise: Mapping[str, float] = field(default_factory=dict)
     unmeasured: Mapping[int, str] = field(default_factory=dict)
     """Joint (1-based) to the rms level of the disturbance torque there that counts as noise, with its unit."""

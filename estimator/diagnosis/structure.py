@@ -7,6 +7,7 @@ from dataclasses import replace
 from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.uses import model_told
 from estimator.fit_errors import FIT_ERRORS
 from estimator.prediction import RunSignals, find_structure
 
@@ -14,20 +15,17 @@ from estimator.prediction import RunSignals, find_structure
 def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
     """`found` with the structure of the residual of its model, if its verdict leaves a material residual.
 
-    The model is the one that a model file has: the named causes, or the nominal model where none is. The structure is
-    offered only if it removes a material share of the free-run error on left-out runs, surely some, and at no horizon
-    surely adds to it. Else a warning gives that share.
+    The structure is offered only if it removes a material share of the free-run error on left-out runs, surely some,
+    and at no horizon surely adds to it. Else a warning gives that share.
     """
     if found.verdict not in ("unexplained", "partial"):
         return found
     split = nominal.split
-    parameters = found.extended_beta if found.effects else nominal.fitted.beta
-    model = replace(nominal.fitted, parameters=parameters, effects=tuple(effect for effect, _ in found.effects),
-                    covariance=None, noise=None)
     runs = [RunSignals(name, tuple(signals), start)
             for name, signals, start in zip(split.names, split.runs, split.starts_s)]
     try:
-        structure = find_structure(model, runs, replace(split.options, noise=dict(split.known)), split.workers)
+        structure = find_structure(model_told(found, nominal), runs, replace(
+            split.options, noise=dict(split.known)), split.workers)
     except FIT_ERRORS:
         return found
     if structure is None:

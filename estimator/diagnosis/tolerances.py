@@ -34,7 +34,7 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> Float
                                       for e in model.effects)]
     nuisances = nuisances_of(candidates, model.problem, stated)
     found = tolerated([total(scores), *scores], (free, None), nuisances, model.state.beta * np.concatenate(powers),
-                      mechanism, stated, np.zeros(len(nuisances)))
+                      mechanism, stated)
     if found is None:
         return covariance
     wide = np.zeros((free.size, free.size))

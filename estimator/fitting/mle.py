@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,7 +47,6 @@ from estimator.fitting.omitted_effects import omitted_effects, small_effects, wi
 from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.run_levels import run_noise
-from estimator.fitting.small_faults import SmallFault, faults_shown, sizes_of, told, without_faults
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
@@ -57,23 +55,20 @@ from estimator.free_runs import FittedModel
 from estimator.likelihood import LatentProblem, State, log_marginal
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.result import FitResult, Trajectory
+from estimator.result import FitResult, LeftOut, Trajectory
 from estimator.score import (
-    SensorFaults,
     agreement_of,
     nuisance_candidates,
     nuisances_of,
     score_at,
     score_runs,
+    steps_without,
     total,
 )
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
-LEAST_GAIN = 0.01
-"""Fall of -2 log likelihood a sample from which on small faults of sensors are taken off the readings: it is that of a
-tenth of the noise's spread."""
 DISTURBANCE_ROUNDS = 3
 """Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
@@ -83,49 +78,18 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     signals = split_signals(datasets, mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     moved, age_s = without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
-    found = _fit(moved, mechanism, options, _Known(bound_s, age_s)) if age_s else None
+    found = _fit(moved, mechanism, options, bound_s, age_s) if age_s else None
     if found is None:
-        found = _fit(signals, mechanism, options, _Known(bound_s))
+        found = _fit(signals, mechanism, options, bound_s)
     assert found is not None
-    if not found.faults:
-        return found.result
-    with suppress(FitError):
-        again = _fit(list(found.less), found.result.mechanism, replace(
-            options, hold=found.result.hold, smoothing_velocity="given"), found.known._replace(taken=found.faults))
-        if again is not None and again.result.converged and again.value < found.value:
-            first = found.result
-            return replace(again.result, hold_margin=first.hold_margin, wall_s=first.wall_s + again.result.wall_s,
-                           assumptions=(first.assumptions[0], *again.result.assumptions[1:], told(found.faults)))
-    return found.result
+    return found
 
 
-class _Known(NamedTuple):
-    """What is known of segments before they are fitted."""
-
-    bound_s: float
-    """See `Dataset.clock_bound_s`."""
-    age_s: float = 0.0
-    """By which their IMU was moved."""
-    aged: bool = False
-    """Whether a fit found the IMU late."""
-    taken: tuple[SmallFault, ...] = ()
-    """Off their readings."""
-
-
-class _Fitted(NamedTuple):
-    """A fit, and the segments without the small faults of sensors that it shows."""
-
-    result: FitResult
-    value: float
-    """-2 log likelihood"""
-    known: _Known
-    faults: tuple[SmallFault, ...] = ()
-    less: Sequence[SignalSet] = ()
-
-
-def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, known: _Known) -> _Fitted | None:
-    """`fit_mle` of segments; None where no fit confirms the age that their IMU was moved by."""
-    start, (bound_s, age_s, *_) = time.perf_counter(), known
+def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bound_s: float, age_s: float = 0.0
+         ) -> FitResult | None:
+    """`fit_mle` of segments whose IMU was moved by `age_s`; None where no fit confirms that. `bound_s`: see
+    `Dataset.clock_bound_s`."""
+    start = time.perf_counter()
     free, beta = free_mask(mechanism, options)
     problem, state, chosen = search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
@@ -135,7 +99,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
     loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
     state, extra = loops.state, loops.extra
     skew, found = None, None
-    aged = known.aged or age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
+    aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
     if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
@@ -147,11 +111,9 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = replace(result, loop=loops.terms)
-    faults, less = tuple[SmallFault, ...](), list[SignalSet]()
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result, faults, less = _with_scores(result, problem, signals, state, free, extra, options, known.taken)
-    value = -2.0 * log_marginal(problem, state)
+            result = _with_scores(result, problem, signals, state, free, extra, options)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
@@ -162,8 +124,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, kn
                                        "Run legid diagnose")
     unseen = unseen_text(state.noise, mechanism.unit("N m"))
     said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), unseen, slow, found) if text)
-    return _Fitted(replace(result, assumptions=(*result.assumptions, *said)), value,
-                   known._replace(aged=aged), faults, less)
+    return replace(result, assumptions=(*result.assumptions, *said))
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
@@ -235,9 +196,8 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
 
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                 free: BoolArray, extra: Extra, options: FitOptions, taken: Sequence[SmallFault]
-                 ) -> tuple[FitResult, tuple[SmallFault, ...], list[SignalSet]]:
-    """`result` with all that one score of each run says; small faults of sensors, and the segments without them.
+                 free: BoolArray, extra: Extra, options: FitOptions) -> FitResult:
+    """`result` with all that one score of each run says.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
@@ -254,22 +214,20 @@ def _with_scores(result: FitResult, problem: LatentProblem, signals: list[Signal
 
     scores = score_runs(signals, of, problem, state)
     seen = scores.of(np.arange(free.size + sum(one.width for one in small)))
-    faults, less = tuple[SmallFault, ...](), list[SignalSet]()
+    shown = scores.of(np.arange(free.size))
     if options.tolerances is not None:
-        if not taken and scores.scores:
-            faults = faults_shown(SensorFaults.of(every, problem, free, options.tolerances), scores.scores,
-                                  LEAST_GAIN * problem.total)
-            less = without_faults(signals, of(signals), state, faults) if faults else []
         whole = total(scores.scores) if scores.scores else score_at(of(signals), state)
         result, scores = with_tolerances(result, whole, scores, (free, known), nuisances_of(
-            every, problem, options.tolerances), options.tolerances, sizes_of(taken, every))
+            every, problem, options.tolerances), options.tolerances)
+    left_out = tuple(LeftOut(where, result.beta + step[: result.beta.size])
+                     for where, step in steps_without(shown, free, known))
     covariance, agreement = agreement_of(scores.of(np.arange(free.size)), np.append(result.beta, state.beta[
         result.beta.size :]), result.covariance, free, known)
-    result = with_scatter(replace(result, agreement=agreement), covariance)
+    result = with_scatter(replace(result, agreement=agreement, left_out=left_out), covariance)
     if agreement.disagree and result.loop:
         result = replace(result, loop=scattered(result.loop, scores.of(np.flatnonzero(free)).scores))
     omitted = omitted_effects(result, seen, free, small) if options.seeks_omitted else result.omitted
-    return replace(result, omitted=omitted), faults, less
+    return replace(result, omitted=omitted)
 
 
 def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:

@@ -29,19 +29,18 @@ NOISE, SCATTER, STEP = "noise", "scatter", "step"
 
 def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
                     known: tuple[BoolArray, FloatArray | None], nuisances: Sequence[Nuisance],
-                    stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> tuple[FitResult, RunScores]:
+                    stated: Mapping[str, tuple[float, ...]]) -> tuple[FitResult, RunScores]:
     """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
 
     `whole` and each of `scores` are over m parameters, of which `known` has the estimated ones (m,) and the information
     of a prior, and the columns of `nuisances`. The step to the likeliest nuisances is right where the noise is as the
     model says, and wrong where it is not. The estimate is half way, with a rectangular distribution between both ends
     (JCGM 100, 4.3.7). Tolerances that the runs contradict are wider in the covariance and not in the step: what is
-    wrong then may not be what they are of. `taken` (k,) are sizes that were taken off the readings before: there the
-    score of their prior is -n / t^2.
+    wrong then may not be what they are of.
     """
     free = known[0]
     along = np.append(result.beta, np.zeros(free.size - result.beta.size))
-    found = tolerated([whole, *scores.scores], known, nuisances, along, result.mechanism, stated, taken)
+    found = tolerated([whole, *scores.scores], known, nuisances, along, result.mechanism, stated)
     if found is None or not np.isfinite(result.covariance).all():
         return result, scores
     p = len(result.beta)
@@ -72,7 +71,7 @@ class Tolerated(NamedTuple):
 
 def tolerated(scores: Sequence[Score], known: tuple[BoolArray, FloatArray | None],
               nuisances: Sequence[Nuisance], along: FloatArray, mechanism: Mechanism,
-              stated: Mapping[str, tuple[float, ...]], taken: FloatArray) -> Tolerated | None:
+              stated: Mapping[str, tuple[float, ...]]) -> Tolerated | None:
     """All `nuisances` with a tolerance, marginalised; None without any. See `with_tolerances`.
 
     The first of `scores` is that of all runs. `along` (m,) is how the scale of the torque moves the parameters.
@@ -85,10 +84,8 @@ def tolerated(scores: Sequence[Score], known: tuple[BoolArray, FloatArray | None
     if not every:
         return None
     plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
-    sizes = np.append(taken[used], np.zeros(len(full.nuisances)))
-    wide, factors = enlarged(replace(plain, score=plain.score + plain.information @ sizes), every)
-    drawn = sizes / np.array([one.tolerance for one in every]) ** 2
-    likeliest = marginalise(replace(robust, score=robust.score - drawn), every)
+    wide, factors = enlarged(plain, every)
+    likeliest = marginalise(robust, every)
     step = np.zeros(full.score.score.size)
     step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
     return Tolerated(marginalise(robust, wide), wide, factors, step, [one.score for one in runs])

@@ -46,6 +46,8 @@ class PredictedRun:
     """(M, H) pieces that diverged"""
     misfits: FloatArray
     """(M,) -2 log density of the run, see `SmoothedRun.misfit`; NaN where it was not asked for"""
+    torque: FloatArray
+    """(N, n) as measured [N m]"""
     residual_torque: FloatArray
     """(M, N, n) what each model's equation of motion leaves [N m]"""
     bands: tuple[FloatArray | None, ...] = ()
@@ -80,7 +82,7 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
         channel_names(problem), _measured(first, data), np.stack([_read(one) for one in smoothed]), tuple(horizons_s),
         np.stack([np.stack([x for x, _ in row]) for row in found]), starts,
         np.array([[lost for _, lost in row] for row in found]),
-        np.array([one.misfit() if misfits else np.nan for one in smoothed]),
+        np.array([one.misfit() if misfits else np.nan for one in smoothed]), problem.torque,
         np.stack([one.drive - one.problem.motor_torque(one.state.x, one.state.beta) for one in smoothed]),
         tuple(None if c is None else band(one, c) for one, c in zip(smoothed, covariances)))
 

@@ -88,6 +88,16 @@ class PredictionTable:
         shares = self.capped[:, :, which, self.horizons_s.index(horizon_s)] / np.maximum(self.variance[which], 1e-300)
         return np.asarray(np.maximum(shares, LEAST_ERROR).mean(axis=-1))
 
+    def torques(self, model: int, joints: list[int]) -> tuple[FloatArray, FloatArray]:
+        """(B,) squared error of a model's torque, and (B,) square of the measured one, summed over `joints` and the
+        samples of each block, in units of each joint's mean square."""
+        unit = np.maximum(np.mean(np.concatenate([run.torque[:, joints] for run in self.runs]) ** 2, axis=0), 1e-300)
+        both = ((run.residual_torque[model], run.torque) for run in self.runs)
+        sums = [[_sums((x[:, joints] ** 2 / unit).sum(axis=1), _edges(run)) for x in pair]
+                for run, pair in zip(self.runs, both)]
+        errors, sizes = (np.concatenate(one) for one in zip(*sums))
+        return errors, sizes
+
     @cached_property
     def misfits(self) -> FloatArray:
         """(M, R) -2 log density of each run under each model, up to a constant; see `SmoothedRun.misfit`."""

@@ -32,12 +32,14 @@ from estimator.prediction.replicate import draw_replicate, simulate_run
 from estimator.prediction.smoothing import per_value, smooth, smooth_segments, smooth_under
 from estimator.prediction.structure import driven_columns, repeated_share, state_columns, taken
 from estimator.prediction.torque_regression import LearntTorque
+from estimator.prediction.uses import USE_HORIZONS_S, predict_left_out, uses_of
 from estimator.prediction.validation import Validation, segments_as, validations_of
 from estimator.prediction.walking import WalkAhead, walk_ahead
 
 __all__ = [
     "HORIZONS_S",
     "SHORT_S",
+    "USE_HORIZONS_S",
     "FittedModel",
     "FloorNoise",
     "LearntTorque",
@@ -58,6 +60,7 @@ __all__ = [
     "per_value",
     "predict",
     "predict_filtered",
+    "predict_left_out",
     "predict_run",
     "repeated_share",
     "segments_as",
@@ -69,6 +72,7 @@ __all__ = [
     "tabulate",
     "taken",
     "together",
+    "uses_of",
     "validations_of",
     "walk_ahead",
     "where_of",

@@ -1,8 +1,10 @@
 """Score and information of runs over parameters, effects and generic terms; projection, scatter, tests; tolerances."""
 
 from estimator.score.enlargement import enlarged
+from estimator.score.left_out import steps_without
 from estimator.score.marginal import Marginal, discounted, marginalise, projected
 from estimator.score.nuisances import (
+    BEYOND,
     ONLY,
     STRUCTURE,
     TORQUE_GAIN,
@@ -27,13 +29,12 @@ from estimator.score.score_tests import (
     own_inflation,
     project,
 )
-from estimator.score.sensor_faults import BEYOND, SensorFaults
 
 __all__ = [
     "ALPHA", "BEYOND", "HIDDEN", "NO_TESTS", "ONLY", "RUNS", "STRUCTURE", "TORQUE_GAIN", "Marginal", "Nuisance",
-    "RunScores", "Score", "ScoreTests", "SensorFaults", "agreement_of", "columns_of",
+    "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
-    "score_alone", "score_at", "score_runs", "student_quantile", "tolerance_sources", "torque_power",
+    "score_alone", "score_at", "score_runs", "steps_without", "student_quantile", "tolerance_sources", "torque_power",
     "total", "with_torque_gain",
 ]

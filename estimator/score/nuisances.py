@@ -32,6 +32,8 @@ from estimator.likelihood import Candidate, LatentProblem
 from estimator.model import Mechanism
 from estimator.score.score import Score
 
+BEYOND = 2.0
+"""Tolerances, 1 sigma, beyond which a size is a fault: about the 95 % interval of what a rig may have."""
 TORQUE_GAIN, GAIN = "torque_gain", 0.05
 """The scale of the measured torque, and its default tolerance."""
 GAIN_SOURCE = "a torque constant by its data sheet, +-10 %; legid calibrate shunt --weight shows it"

@@ -30,6 +30,8 @@ class RunScores(NamedTuple):
     """(R,); none of a single run that is too short"""
     unit: Literal["run", "segment"] = "run"
     """What is scored: runs, or segments of one run."""
+    places: tuple[slice, ...] = ()
+    """(R,) their samples"""
 
     def of(self, columns: IndexArray) -> RunScores:
         """Scores of these `columns` alone."""
@@ -43,12 +45,12 @@ def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: Latent
     that of the fit; segments lose the equation of motion between them. Costs one Gauss-Newton step.
     """
     parts = by_run(signals)
-    found = [(run, score_at(problem_of(own), replace(state, x=state.x.of(where), noise=state.noise.at(where))))
+    found = [(run, score_at(problem_of(own), replace(state, x=state.x.of(where), noise=state.noise.at(where))), where)
              for run, own, where in (parts if len(parts) > 1 else segments(signals, fitted, state))]
     if not found:
         return RunScores((parts[0][0],), ())
-    names, scores = zip(*found, strict=True)
-    return RunScores(names, scores, "run" if len(parts) > 1 else "segment")
+    names, scores, places = zip(*found, strict=True)
+    return RunScores(names, scores, "run" if len(parts) > 1 else "segment", places)
 
 
 def segments(signals: Sequence[SignalSet], fitted: LatentProblem, state: State

@@ -29,8 +29,17 @@ from experiments.documents.diagnosis_parts import (
     split_key,
     untestable,
 )
-from experiments.documents.document import Aside, Damaged, Document, From, Number, known
-from experiments.judge import VERDICTS, Headline, answer_words, next_step, normal, verdict_title
+from experiments.documents.document import Aside, Damaged, Document, From, Number, Uses, known
+from experiments.judge import (
+    VERDICTS,
+    Headline,
+    answer_words,
+    next_step,
+    normal,
+    sentence_of,
+    uses_line,
+    verdict_title,
+)
 from experiments.session import SetAside, damaged_runs, faulty_readings
 
 Intervals = dict[str, tuple[Number, Number]]
@@ -118,6 +127,7 @@ class DiagnosisDocument(Document, kw_only=True):
     error: Annotated[Before | None, Meta(description="rms error in units of noise alone")] = None
     compared: Annotated[tuple[Explanation, ...], Meta(description="explanations, the least error first")] = ()
     parameters: Annotated[Parameters, Meta(description="of both models")] = Parameters()
+    uses: Uses = ()
     not_testable: Annotated[tuple[NotTestable, ...], Meta(description="effects that these runs cannot test")] = ()
     runs: Annotated[Groups, Meta(description="their use")] = Groups()
     warnings: Annotated[tuple[str, ...], Meta(description="for people")] = ()
@@ -154,7 +164,7 @@ class DiagnosisDocument(Document, kw_only=True):
             compared=tuple(Explanation(causes=tuple(
                 Named(effect=effect, joint=contract_joint(effect, joint)) for effect, joint in map(split_key, keys)),
                 error=known(error)) for keys, error in found.compared),
-            parameters=Parameters.of(found),
+            parameters=Parameters.of(found), uses=found.uses,
             not_testable=tuple(NotTestable(effect=effect, joint=contract_joint(effect, joint), why=why)
                                for effect, joint, why in untestable(found)),
             runs=Groups(**{group: tuple(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")}),
@@ -163,11 +173,17 @@ class DiagnosisDocument(Document, kw_only=True):
             damaged=tuple(damaged_runs(used)))
 
     @property
+    def _used(self) -> list[str]:
+        said, model = uses_line(self.uses), "extended" if self.parameters.extended else "nominal"
+        return [sentence_of(f"the {model} model {said}")] if said else []
+
+    @property
     def headline(self) -> Headline:
         """First lines: the verdict, its sentence and its probability."""
         return Headline(VERDICTS[self.verdict][0], verdict_title(self.verdict),
                         [*([self.sentence] if self.sentence else []),
-                         *answer_words(self.probability, self.probability_in_library)], self.warnings, self.next_step)
+                         *answer_words(self.probability, self.probability_in_library), *self._used], self.warnings,
+                        self.next_step)
 
     @property
     def sensors(self) -> dict[str, SensorGain]:

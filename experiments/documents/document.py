@@ -10,6 +10,7 @@ import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType, structs
 
 from daq import InputError, read_bytes
+from estimator import Use
 from experiments.console import text_table, write_json
 from experiments.provenance import Origin
 from experiments.session import SetAside
@@ -20,6 +21,8 @@ Number = float | None
 
 Aside = Annotated[tuple[SetAside, ...], Meta(description="runs that were not used: `run`, `why`")]
 Damaged = Annotated[tuple[dict[str, str], ...], Meta(description="damaged runs: `run` and `what` is missing")]
+Uses = Annotated[tuple[Use, ...], Meta(description="[what the model is good for](docs/trust.md#uses), the best first: "
+                                      "`use`, `supported`, `figure`, ...")]
 From = Annotated[Origin | UnsetType, Meta(description="[its files](#provenance)")]
 
 

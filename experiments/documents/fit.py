@@ -13,7 +13,16 @@ from msgspec import UNSET, Meta, Struct, UnsetType, field
 from daq import Dataset
 from estimator import FitResult
 from estimator.fitting import next_measurement
-from experiments.documents.document import Aside, Damaged, Document, From, Number, finite, known
+from experiments.documents.document import (
+    Aside,
+    Damaged,
+    Document,
+    From,
+    Number,
+    Uses,
+    finite,
+    known,
+)
 from experiments.documents.fit_parts import (
     Agreement,
     BudgetRow,
@@ -29,6 +38,7 @@ from experiments.documents.tuning import Entry
 from experiments.judge import (
     Headline,
     Trust,
+    all_uses,
     check_fit,
     faults_of,
     fit_trust,
@@ -158,6 +168,7 @@ class FitDocument(Document, kw_only=True):
     findings: Annotated[tuple[FindingEntry, ...], Meta(description="all that was found, in order")] = ()
     trust: Annotated[Trust, Meta(description="[the first line](docs/trust.md#the-first-line-of-a-fit)")] = Trust(
         "caution", "")
+    uses: Uses = ()
     residuals: Annotated[tuple[Residual, ...], Meta(description="are they white?")] = ()
     precision: Annotated[str, Meta(description="the budget of the leading parameter in a sentence")] = ""
     friction: Annotated[tuple[Friction, ...], Meta(description="of joints without motors")] = ()
@@ -209,7 +220,8 @@ class FitDocument(Document, kw_only=True):
             remedies=result.remedies, warnings=result.warnings, assumptions=result.assumptions,
             findings=tuple(FindingEntry(role=one.role, kind=one.kind, text=one.text)
                            for one in (*result.findings, *check_fit(result))),
-            trust=fit_trust(result), residuals=_residuals(result), precision=precision(result),
+            trust=fit_trust(result), uses=all_uses(result), residuals=_residuals(result),
+            precision=precision(result),
             friction=tuple(Friction(joint=one.joint, coulomb_share=one.coulomb, ci95=(one.low, one.high))
                            for one in friction_shares(result)),
             driven=tuple(j + 1 for j in m.actuated), force_unit=m.force_unit, length_unit=m.length_unit,

@@ -52,3 +52,5 @@ from .trust import fits_of as fits_of
 from .trust import model_contradictions as model_contradictions
 from .trust import validation_trust as validation_trust
 from .trust import with_fit_trust as with_fit_trust
+from .uses import all_uses as all_uses
+from .uses import uses_line as uses_line

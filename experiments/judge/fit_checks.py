@@ -23,9 +23,6 @@ NEIGHBOURS = 4
 """Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
 GOOD_FIT, ROUGH_FIT = 90.0, 70.0
 """Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
-FEEDFORWARD = {GOOD_FIT: "good for torque feedforward within the fitted motion",
-               ROUGH_FIT: "good for rough torque feedforward only", -np.inf: "not good for torque feedforward"}
-"""Least fit of the model's torque [%] -> its use."""
 REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 LEAST_P = 1e-9
@@ -93,10 +90,9 @@ def _facts(result: FitResult) -> list[Finding]:
     """What limits the use of the parameters."""
     fits = {} if result.undetermined else torque_fits(result)  # no model is made of what is not determined
     told = ", ".join(f"{share:.1f} % at joint {j}" for j, share in fits.items())
-    use = next((use for least, use in FEEDFORWARD.items() if min(fits.values(), default=0.0) >= least), "")
     disputes = ", ".join(result.mechanism.names[k] for k in disputed(result))
     loose = _loose(result)
-    return [*([Finding("fact", "torque_fit", f"The model's torque fits to {told}: {use}")] if fits else []),
+    return [*([Finding("fact", "torque_fit", f"The model's torque fits to {told}")] if fits else []),
             *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}; the "
                        "intervals allow for it")] if disputes else []),
             *([Finding("fact", "loose", f"Wide intervals: {', '.join(loose)}")] if loose else []),

@@ -11,15 +11,17 @@ from typing import Annotated
 import numpy as np
 from msgspec import UNSET, Meta, Struct, UnsetType, structs
 
-from estimator import Finding, FitResult
+from estimator import Finding, FitResult, Use
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
 from experiments.judge.budget import precision
 from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.judge.headline import Headline, Level, sentence_of
 from experiments.judge.next_steps import DIAGNOSE, EACH, SIMULATE, VALIDATE
+from experiments.judge.uses import all_uses, best_words, uses_line
 from experiments.models import MechanismSettings, TrustValues
 
+SUSPECT = "DO NOT TRUST the parameters"
 NAMED = 2
 """Kinds of suspect results that the first line names."""
 IN_SHORT: dict[str, str] = {
@@ -62,19 +64,19 @@ class Trust(Struct, frozen=True):
 
 def fit_trust(result: FitResult) -> Trust:
     """Trust in a fit, by its findings and those of `check_fit`. `validation_trust` judges free runs."""
-    torque, passive = torque_fits(result).values(), not result.mechanism.actuated
+    torque, passive = torque_fits(result), not result.mechanism.actuated
     untested = f"the filters of {result.method} colour the residual" if result.method not in ("mle", "shooting") else \
         "" if torque or passive else "the torque hardly changes"
     return trust_by((*result.findings, *check_fit(result)), precision(result), untested,
-                    ", ".join(result.fixed) if passive else "", min(torque, default=GOOD_FIT) < GOOD_FIT)
+                    ", ".join(result.fixed) if passive else "", all_uses(result))
 
 
-def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", scale: str = "", rough: bool = False
-             ) -> Trust:
+def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", scale: str = "",
+             uses: Sequence[Use] = ()) -> Trust:
     """Trust in a fit by all that was found about it: one short line, a line for each reason, the next step.
 
     - `known`: how well its leading parameter is known. `untested`: why no residual tests it; empty if some do.
-    - `scale`: parameters that were given where no torque was measured. `rough`: its torque fits to less than 90 %.
+    - `scale`: parameters that were given where no torque was measured. `uses`: what the model is good for.
     """
     told = {role: tuple(sentence_of(one.text) for one in findings if one.role == role)
             for role in ("fault", "doubt", "fact", "remedy")}
@@ -85,9 +87,13 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
         short = FAULTS.get(kinds[0])
         return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(
             line for line in told["fault"] if short or line not in map(sentence_of, texts)), (*told["remedy"], step)[0])
+    good_for, measured = best_words(uses), uses_line(uses)
+    used = (sentence_of(measured),) if measured else ()
     if told["doubt"]:
-        return Trust("bad", f"DO NOT TRUST the parameters: {_in_short(kinds)}.", (*told["doubt"], *told["fact"]), step)
-    facts = (*([sentence_of(known)] if known else []), *told["fact"])
+        first = f"{good_for}; {SUSPECT}" if good_for else SUSPECT
+        return Trust("caution" if good_for else "bad", sentence_of(f"{first}: {_in_short(kinds, bool(good_for))}"),
+                     (*used, *told["doubt"], *told["fact"]), step)
+    facts = (*used, *([sentence_of(known)] if known else []), *told["fact"])
     if untested:
         return Trust("caution", f"NOT TESTED: {untested}, which cannot test the parameters.", told["fact"],
                      "Fit by maximum likelihood: legid fit RUN... --rig RIG")
@@ -97,15 +103,16 @@ def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", s
     if any(one.kind == "noise_share" for one in findings):
         return Trust("caution", "TRUST WITH CARE: much of the torque counts as noise, so the intervals may be too "
                      "narrow.", facts, "Choose rate, hold and terms by the records: legid tune RUN... --rig RIG")
-    return Trust("good", "TRUST the parameters within their intervals"
-                 f"{'; the model' if rough else ', and the model'}'s torque{' is rough' * rough}.", facts, VALIDATE)
+    first = "TRUST the parameters within their intervals."
+    return Trust("good", f"{first} {sentence_of(good_for)}" if good_for else first, facts, VALIDATE)
 
 
-def _in_short(suspect: Sequence[str]) -> str:
-    """The first kinds of suspect results, in the order of their steps, and how many more there are."""
+def _in_short(suspect: Sequence[str], alone: bool) -> str:
+    """The first kinds of suspect results, in the order of their steps, and how many more there are; or the first
+    `alone`."""
     order = {kind: k for k, kind in enumerate(STEPS)}
     first = sorted(suspect, key=lambda kind: order.get(kind, len(order)))
-    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in first))
+    kinds = list(dict.fromkeys(IN_SHORT[kind] for kind in first))[: 1 if alone else None]
     return ", ".join(kinds[:NAMED]) + f", and {len(kinds) - NAMED} more" * (len(kinds) > NAMED)
 
 
@@ -156,13 +163,14 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
 
 def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
     """`trust` in a model's free runs, and not in its parameters where their fit said so."""
-    if of_fit is None or of_fit.level != "bad":
+    why_not = "" if of_fit is None else of_fit.sentence.partition(f"{SUSPECT}: ")[2]
+    if not why_not:
         return trust
     use, _, why = trust.sentence.partition(":")
     if trust.level == "good":
         trust = structs.replace(trust, level="caution", sentence=f"{use}, not the parameters:{why}")
     return structs.replace(trust, reasons=(*trust.reasons, "The fit did not trust the parameters: "
-                                           f"{of_fit.sentence.partition(': ')[2]}"))
+                                           f"{why_not}"))
 
 
 def _percent(share: float) -> str:

@@ -16,7 +16,7 @@ ROOMS = {
     "daq": [["errors", "files", "findings", "dataset", "imu_mount", "loop", "mechanisms", "rig", "rig_columns",
              "rig_devices", "rig_imu", "rig_limits", "rig_sampling", "rig_text", "rig_types", "servo", "si_units"],
             ["runs"], ["looks"], ["timing"], ["recording"], ["calibration"]],
-    "estimator": [["errors", "fit_errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"],
+    "estimator": [["errors", "fit_errors", "methods", "parallel", "use", "verdicts"], ["numerics"], ["model"],
                   ["options", "result"], ["signals"], ["effects"], ["likelihood"], ["score", "free_runs", "loops"],
                   ["fitting"], ["prediction"], ["diagnosis", "calibration", "change"]],
     "experiments": [["bounded_child", "console", "provenance"], ["models"], ["exchange", "simulators"],

@@ -18,5 +18,5 @@ def predicted_run(name: str, rate_hz: float, measured: Mapping[str, np.ndarray],
                        for h in horizons]).astype(np.intp)
     return PredictedRun(name, rate_hz, np.arange(count) / rate_hz, np.array([count]), tuple(measured), values,
                         values[None].copy(), horizons, simulated, starts,
-                        np.array([[int(np.isnan(x).any()) for x in simulated[0]]]), np.zeros(1),
+                        np.array([[int(np.isnan(x).any()) for x in simulated[0]]]), np.zeros(1), np.ones((count, 1)),
                         np.zeros((1, count, 1)))

@@ -33,7 +33,7 @@ def predicted(measured: FloatArray, smoothed: list[FloatArray], simulated: list[
                         (PIVOT, "q2_rad", "q1d", "q2d", "gyro_radps", "accel_x_mps2", "accel_y_mps2"),
                         only([measured], np.nan)[0], only(smoothed), (np.inf,), only(simulated)[:, None],
                         np.zeros((1, COUNT), dtype=np.intp), np.zeros((count, 1), dtype=np.intp), np.array(misfits),
-                        np.zeros((count, COUNT, 2)))
+                        np.zeros((COUNT, 2)), np.zeros((count, COUNT, 2)))
 
 
 def of_pivot(run: PredictedRun, floor: float = 1e-8, smoothers: tuple[int, ...] = (0, 1, 2)) -> ErrorTable:

@@ -3,12 +3,12 @@
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
+from itertools import cycle, product
 
 import numpy as np
 import pytest
 
-from estimator import Combination, Finding, FitResult, Method, RunAgreement
+from estimator import Combination, Finding, FitResult, Method, RunAgreement, Use
 from estimator.result import Budget, BudgetPart, OmittedEffect
 from experiments.documents import FitDocument
 from experiments.judge import Headline, Trust, fit_trust, with_fit_trust
@@ -24,14 +24,14 @@ METHODS: tuple[Method, ...] = ("mle", "wls")
 NOISE = Finding("warning", "noise_share", "40 % of the torque's spread counts as noise")
 RIG = Finding("doubt", "rig_contradiction", "the rig file contradicts a run: r was recorded with x = 1")
 AGAINST = {
-    r"^TRUST": r"missing something|are too narrow|is not known|model lacks|[Nn]ot to be|do not determine",
-    r"^DO NOT TRUST": r"is known to|(?<!NOT )TRUST",
+    r"TRUST the parameters within":
+        r"missing something|are too narrow|is not known|model lacks|[Nn]ot to be|do not determine",
+    r"DO NOT TRUST": r"is known to|(?<!NOT )TRUST",
     r"^NOT TO BE USED": r"is known to|TRUST|good for",
     r"do not determine": r"good for|determines every|TRUST the parameters within",
     r"too little to widen": r"disagree about|allow for",
     r"disagree about": r"too little to widen|agree within",
-    r"not good for torque": r"and the model's torque",
-    r"is rough": r"good for torque feedforward within",
+    r"on held-out data": r"NOT TO BE USED|NOT TESTED",
 }
 """What a line says -> what no other line of the same result may say."""
 
@@ -59,12 +59,19 @@ def fits() -> Iterator[FitResult]:
     parts = (BudgetPart("noise", np.diag(PLAIN.std)), BudgetPart("torque_gain", 0.02 * PLAIN.beta[None, :], (0.02,)))
     budget = Budget(parts, np.zeros(PLAIN.mechanism.p), {})
     one = (Combination((("beta3", 1.0), ("beta8", -0.5))),)
+    uses = cycle([(), (Use("simulation", True, 0.031, horizon_s=19.97, ci95=(0.02, 0.05)),
+                       Use("feedforward", False, 0.2, ci95=(0.1, 0.4))),
+                  (Use("feedforward", True, 0.05, ci95=(0.04, 0.06)), Use("simulation", False, 0.2, horizon_s=1.0)),
+                  (Use("simulation", False, 0.4, horizon_s=1.0, ci95=(0.2, 0.8)),),
+                  (Use("simulation", True, 0.02, horizon_s=1.0, ci95=(0.01, 0.04)),
+                   Use("feedforward", True, 0.05, ci95=(0.04, 0.06)))])
     for agree, motion, open_, known, told, omitted, method in product(
             ("none", "agree", "little", "beta9"), (path, slow, rough), ((), one), (None, budget),
             ((), (NOISE,), (RIG,), (Finding("fault", "columns", "the columns cannot be right"),)),
             ((), (OmittedEffect("gyro_scale", 1e-20, "beta1", 5.8),)), METHODS):
         yield replace(PLAIN, agreement=agreement(agree), trajectories=(motion,), undetermined=open_, budget=known,
-                      findings=told, omitted=omitted, method=method, converged=True)
+                      findings=told, omitted=omitted, method=method, converged=True,
+                      uses=next(uses) if method == "mle" else ())
     yield replace(PLAIN, converged=False)
 
 
@@ -92,7 +99,10 @@ def test_no_two_lines_of_a_fit_disagree() -> None:
                 wrong = [other for other in lines if other != line and re.search(never, other)]
                 assert not wrong, f"{line!r} and {wrong[0]!r}"
         head = fit_trust(result).headline
-        assert sum(bool(re.match(r"(TRUST|DO NOT TRUST|NOT )", line)) for line in head.told) == 1
+        assert sum(bool(re.search(r"(TRUST|NOT TO BE|NOT TESTED)", line)) for line in head.told) == 1
+        best = next((use for use in result.uses if use.supported), None)
+        assert ("held-out" in head.title) <= (best is not None)
+        assert ("DO NOT" in head.title) <= (head.level == ("caution" if best is not None else "bad"))
         assert head.action and not [line for line in head.reasons if "legid " in line]
         assert len(head.title) <= 120
     assert count == 769

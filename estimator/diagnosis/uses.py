@@ -1,0 +1,41 @@
+"""`with_uses`: what the model of a diagnosis is good for, by its test runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from estimator.diagnosis.model import Model
+from estimator.diagnosis.result import Diagnosis
+from estimator.fit_errors import FIT_ERRORS
+from estimator.free_runs import FittedModel
+from estimator.parallel import parallel_map
+from estimator.prediction import USE_HORIZONS_S, PredictedRun, predict_run, smooth_segments, tabulate, uses_of
+from estimator.result import TWO_SIDED
+from estimator.use import best_first, use_of_parameters
+
+
+def model_told(found: Diagnosis, nominal: Model) -> FittedModel:
+    """The model that a model file has: with the named causes, or the nominal one where none is."""
+    return replace(nominal.fitted, parameters=found.extended_beta if found.effects else nominal.fitted.beta,
+                   effects=tuple(effect for effect, _ in found.effects), covariance=None, noise=None)
+
+
+def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
+    """`found` with the uses of its model, those of learnt torques by runs left out; without any where it cannot be
+    simulated."""
+    split, model = nominal.split, model_told(found, nominal)
+    driven, options = split.mechanism.actuated, replace(split.options, noise=split.known)
+
+    def predicted(run: int) -> PredictedRun:
+        one = smooth_segments(model, split.names[run], split.runs[run], options, split.starts_s[run])
+        return predict_run([one], USE_HORIZONS_S)
+
+    try:
+        uses = uses_of(tabulate(parallel_map(lambda k: predicted(split.test[k]), len(split.test), split.workers), 0),
+                       driven) if found.structure is None else uses_of(found.structure.table, driven, 1)
+    except FIT_ERRORS:
+        return found
+    values, std = (found.extended, found.extended_std) if found.effects else (found.nominal, found.nominal_std)
+    known = [use_of_parameters(TWO_SIDED * std[p.name], values[p.name], found.verdict in ("none", "named"))
+             for p in split.mechanism.parameters if p.rigid and values.get(p.name) and p.name in std]
+    return replace(found, uses=best_first((*uses, *known[:1])))

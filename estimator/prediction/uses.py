@@ -1,0 +1,88 @@
+"""`uses_of`: what a model is good for, by its errors on data that it was not fitted to.
+
+- feedforward: rms error of the model's torque over the rms of the measured one, at the joints with a motor, along the
+  smoothed motion.
+- simulation: rms error of free runs over a horizon in units of each sensor's spread, over encoders and gyros. The
+  horizon is the longest over which the error is surely at most ENOUGH.
+
+An interval is of the error on one more run, not of the mean: with R runs, sqrt(1 + R) times as wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq import FloatArray, IndexArray
+from estimator.free_runs import (
+    SHORT_S,
+    FittedModel,
+    PredictionTable,
+    SmoothedRun,
+    paired_ratio,
+    predict_run,
+    tabulate,
+)
+from estimator.likelihood import Latents, State
+from estimator.result import FitResult
+from estimator.signals import LEAST_SEGMENT, SignalSet, cut
+from estimator.use import ENOUGH, Purpose, Use, best_first
+
+USE_HORIZONS_S = (0.1, SHORT_S, 5.0, np.inf)
+
+
+def uses_of(table: PredictionTable, driven: Sequence[int], model: int = 0) -> tuple[Use, ...]:
+    """Uses of a model of `table` with motors at the joints `driven`, the supported ones first."""
+    weights = table.samples.max(axis=1)
+    found = [_simulation(table, h, model, weights) for h in table.horizons_s]
+    enough = [one for one in found if one.supported]
+    short = table.horizons_s.index(SHORT_S) if SHORT_S in table.horizons_s else -1
+    uses = [enough[-1] if enough else found[short]]
+    if driven:
+        uses.append(_feedforward(table, list(driven), model))
+    return best_first(uses)
+
+
+def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: FloatArray) -> Use:
+    longest = min(one.longest_s for one in table.runs)
+    return _measured("simulation", table.by_block(horizon_s)[model] * weights, weights, table.run,
+                     horizon_s if np.isfinite(horizon_s) else longest)
+
+
+def _feedforward(table: PredictionTable, driven: list[int], model: int) -> Use:
+    return _measured("feedforward", *table.torques(model, driven), table.run)
+
+
+def _measured(use: Purpose, error: FloatArray, size: FloatArray, run: IndexArray, horizon_s: float | None = None
+              ) -> Use:
+    """By the root of the sum of `error` (B,) over that of `size` (B,), of blocks of the runs `run` (B,)."""
+    value, ci95 = paired_ratio(error, size, run)
+    wider = float(np.sqrt(1 + np.unique(run).size))
+    one_more = None if ci95 is None else (value * (ci95[0] / value) ** wider, value * (ci95[1] / value) ** wider)
+    return Use(use, one_more is not None and one_more[1] <= ENOUGH, value, horizon_s=horizon_s, ci95=one_more)
+
+
+def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> PredictionTable | None:
+    """Free runs over each part of the data by the fit without it, from the fit's motion.
+
+    None where the fit has no such parts, or other samples than `signals`.
+    """
+    ends = np.cumsum([s.time_s.size for s in signals])
+    if not result.left_out or ends[-1] != sum(path.time_s.size for path in result.trajectories):
+        return None
+    model, runs = FittedModel(result.mechanism, result.hold, result.beta), []
+    motion = [np.concatenate([getattr(path, name) for path in result.trajectories]) for name in ("q", "qd", "qdd")]
+    for part in result.left_out:
+        wanted = [(s, max(part.where.start, int(end) - s.time_s.size), min(part.where.stop, int(end)), int(end))
+                  for s, end in zip(signals, ends, strict=True)]
+        wanted = [one for one in wanted if one[2] - one[1] >= LEAST_SEGMENT]
+        if not wanted:
+            continue
+        rows = np.concatenate([np.arange(begin, stop) for _, begin, stop, _ in wanted])
+        own = [cut(s, slice(begin - end + s.time_s.size, stop - end + s.time_s.size)) for s, begin, stop, end in wanted]
+        problem, (q, v, a) = model.problem(own), (x[rows] for x in motion)
+        torque = result.mechanism.inverse_dynamics(q, v, a, part.beta)
+        state = State(Latents(q, v, torque), part.beta, problem.shown, np.zeros((part.beta.size,) * 2))
+        runs.append(predict_run([SmoothedRun(own[0].run, tuple(own), problem, state)], USE_HORIZONS_S))
+    return tabulate(runs, 0) if runs else None

@@ -1,0 +1,39 @@
+"""`Use`: what a model is good for, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+ENOUGH = 0.1
+"""Error up to which a use is supported, by convention: a fit of 90 %."""
+Purpose = Literal["feedforward", "simulation", "parameters"]
+
+
+@dataclass(frozen=True)
+class Use:
+    """One use of a model, and whether the runs support it."""
+
+    use: Purpose
+    supported: bool
+    """Whether the error is surely at most ENOUGH and nothing else speaks against it"""
+    figure: float
+    """Error as a share; of parameters, half of the interval of the leading one over its value"""
+    unit: str = "1"
+    horizon_s: float | None = None
+    """Of a simulation"""
+    ci95: tuple[float, float] | None = None
+    """Of the error on one more run; None where there are too few"""
+    measured_on: Literal["held_out", "fit"] = "held_out"
+
+
+def use_of_parameters(half: float, value: float, sound: bool) -> Use:
+    """Use of the parameters by the leading one; `sound`: nothing speaks against them."""
+    share = half / abs(value)
+    return Use("parameters", sound and share <= ENOUGH, share, measured_on="fit")
+
+
+def best_first(uses: Iterable[Use]) -> tuple[Use, ...]:
+    """The supported ones first, else as they are."""
+    return tuple(sorted(uses, key=lambda one: not one.supported))

@@ -1,0 +1,37 @@
+"""`all_uses`: what a fit is good for, its parameters among it, and the words for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from estimator import FitResult, Use, best_first, use_of_parameters
+from experiments.judge.budget import leading
+from experiments.judge.fit_checks import check_fit
+
+
+def all_uses(result: FitResult) -> tuple[Use, ...]:
+    """Uses of a fit, the supported ones first; of its parameters by the interval of the leading one."""
+    k, found = leading(result), result.uses
+    if k is not None and result.converged:
+        sound = not any(one.role in ("fault", "doubt") for one in (*result.findings, *check_fit(result)))
+        found += (use_of_parameters(float(result.half_width[k]), float(result.beta[k]), sound),)
+    return best_first(found)
+
+
+def best_words(uses: Sequence[Use]) -> str:
+    """The first supported use that was measured, for the first line; empty without any."""
+    said = [_words(one) for one in uses if one.supported and one.measured_on == "held_out"]
+    return f"{said[0]} on held-out data" if said else ""
+
+
+def uses_line(uses: Sequence[Use]) -> str:
+    """Every use that was measured, with its interval; empty without any."""
+    said = "; ".join(f"{_words(one)} [{', '.join(f'{100 * end:.2g}' for end in one.ci95)}]" if one.ci95 else
+                     f"{_words(one)}, without an interval: too few runs"
+                     for one in uses if one.measured_on == "held_out")
+    return f"{said}, of the spread of what is measured, on one more run" if said else ""
+
+
+def _words(one: Use) -> str:
+    share = f"to {100 * one.figure:.2g} %"
+    return f"predicts {one.horizon_s:.3g} s {share}" if one.use == "simulation" else f"gives the torque {share}"
