@@ -179,10 +179,10 @@ class DiagnosisDocument(Document, kw_only=True):
 
     @property
     def headline(self) -> Headline:
-        """First lines: the verdict, its sentence and its probability."""
+        """First lines: the verdict, its sentence, uses and its probability."""
         return Headline(VERDICTS[self.verdict][0], verdict_title(self.verdict),
                         [*([self.sentence] if self.sentence else []),
-                         *answer_words(self.probability, self.probability_in_library), *self._used], self.warnings,
+                         *self._used, *answer_words(self.probability, self.probability_in_library)], self.warnings,
                         self.next_step)
 
     @property

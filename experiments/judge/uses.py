@@ -26,10 +26,10 @@ def best_words(uses: Sequence[Use]) -> str:
 
 def uses_line(uses: Sequence[Use]) -> str:
     """Every use that was measured, with its interval; empty without any."""
-    said = "; ".join(f"{_words(one)} [{', '.join(f'{100 * end:.2g}' for end in one.ci95)}]" if one.ci95 else
-                     f"{_words(one)}, without an interval: too few runs"
+    said = " and ".join(f"{_words(one)} [{', '.join(f'{100 * end:.2g}' for end in one.ci95)}]" if one.ci95 else
+                     f"{_words(one)} (too few runs for an interval)"
                      for one in uses if one.measured_on == "held_out")
-    return f"{said}, of the spread of what is measured, on one more run" if said else ""
+    return f"{said} of the spread of what is measured, on one more run" if said else ""
 
 
 def _words(one: Use) -> str:

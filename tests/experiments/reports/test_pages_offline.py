@@ -208,7 +208,7 @@ def test_folded_sections_open_by_hand_by_a_link_and_on_paper(folder: Path, brows
     browser.wait(lambda: browser.js(seen) == browser.js(rows), "paper shows all")
     browser.cdp("Emulation.setEmulatedMedia", media="")
     browser.wait(lambda: browser.js(seen) == 0, "the screen shows none")
-    browser.js("document.querySelector('summary').click()")
+    browser.js("document.querySelector('details:has(tbody) > summary').click()")
     browser.wait(lambda: 0 < browser.js(seen) < browser.js(rows), "one section opens")
     (anchor,) = re.findall(r'id="(s\d+-candidates)"', page)
     browser.driver.get(f"{url}#{anchor}")
