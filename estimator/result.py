@@ -66,7 +66,7 @@ Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
 FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
                       "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
                       "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
-                      "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
+                      "repeating_torque", "prior", "runs_disagree", "estimators_disagree", "loose",
                       "omitted_effect", "budget", "sensor_scale", "not_shown"]
 
 
@@ -226,6 +226,8 @@ class HeldOut:
     ci95: tuple[float, float]
     segments: int
     """Seconds predicted."""
+    use: Use | None = None
+    """Of a simulation over a second, by shooting"""
 
 
 class LeftOut(NamedTuple):

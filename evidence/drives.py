@@ -20,7 +20,7 @@ from drivers.fdcanusb_link import FdcanusbCodec
 from drivers.mock import EmulatorLink
 from estimator import FitOptions, fit
 from estimator.model import leg2
-from estimator.score import student_quantile
+from estimator.numerics import student_quantile
 from evidence.drive_faults import FAULTS, strike
 from evidence.drive_rates import at_rate
 from evidence.frame import Lines, program, table

@@ -20,8 +20,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from daq import FloatArray
-from estimator.calibration.spline_smoother import interval_factor
 from estimator.errors import FitError
+from estimator.numerics import student_quantile
 from estimator.signals import lowpass
 
 SIGNALS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2", "angle_rad")
@@ -301,7 +301,7 @@ class _Fit:
         bread = np.linalg.inv(whole + np.diag(self.weight))
         prior = np.einsum("ij,j,ij->i", bread, self.weight, bread) * self._noise()
         variance = (fitted - 1) / fitted * np.sum(moves**2, axis=0) + prior
-        return np.asarray(interval_factor(fitted - 1) * np.sqrt(variance))
+        return np.asarray(student_quantile(fitted - 1) * np.sqrt(variance))
 
     def _noise(self) -> float:
         """Variance that the weights were made with."""
@@ -360,5 +360,5 @@ def _angle(imu: FloatArray) -> FloatArray:
 def _rms(squares: FloatArray) -> tuple[float, float]:
     """(rms, half of its 95 % interval) from the blocks' mean squares."""
     rms = float(np.sqrt(squares.mean()))
-    half = interval_factor(squares.size - 1) * float(squares.std(ddof=1)) / np.sqrt(squares.size)
+    half = student_quantile(squares.size - 1) * float(squares.std(ddof=1)) / np.sqrt(squares.size)
     return rms, half / (2.0 * rms)

@@ -13,7 +13,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from daq import Dataset, FloatArray
 from estimator.calibration.units import DEGREE, TWICE, G, correction, tried
@@ -106,6 +105,8 @@ def wrong_scale(datasets: Sequence[Dataset], lever_arm: float, gravity: float, h
     def judged(log_factor: float) -> ImuReading:
         factor = float(np.exp(log_factor))
         return _judge(read, _turned(read, factor), np.eye(2), factor, lever_arm, hangs)
+
+    from scipy.optimize import minimize_scalar  # 0.2 s to import
 
     edge = float(np.log(MOST_SCALE))
     best = judged(float(minimize_scalar(lambda x: judged(x).left, bounds=(-edge, edge), method="bounded",

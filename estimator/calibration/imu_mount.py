@@ -20,8 +20,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from daq import FloatArray
-from estimator.calibration.spline_smoother import ITERATIONS, ROUNDS, PathFit, Sensor, Track, fit_path, interval_factor
+from estimator.calibration.spline_smoother import ITERATIONS, ROUNDS, PathFit, Sensor, Track, fit_path
 from estimator.errors import FitError
+from estimator.numerics import student_quantile
 
 KNOT_S = 0.04
 LEAST_SWING_RAD = 0.3
@@ -160,7 +161,7 @@ def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, 
     """The fit with q = 0 where the link hung at rest, intervals carried over."""
     mean = np.mean([m for m, _ in rests], axis=0)
     halves = np.array([h for _, h in rests])
-    factor = interval_factor(fit.freedom)
+    factor = student_quantile(fit.freedom)
     spread = np.sqrt(np.mean(halves**2, axis=0) / len(rests)) / factor
 
     def quantities(x: FloatArray) -> FloatArray:

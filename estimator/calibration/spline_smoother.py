@@ -22,6 +22,7 @@ from scipy.sparse.linalg import splu
 
 from daq import FloatArray
 from estimator.errors import FitError
+from estimator.numerics import student_quantile
 from estimator.signals import white_noise_level
 
 Predict = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
@@ -75,14 +76,7 @@ class PathFit:
     @property
     def half(self) -> FloatArray:
         """(p,) half of each 95 % interval."""
-        return interval_factor(self.freedom) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-
-def interval_factor(freedom: int) -> float:
-    """Half of a 95 % interval over the standard error."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
+        return student_quantile(self.freedom) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
 def fit_path(sensors: Sequence[Sensor], tracks: Sequence[Track], theta: FloatArray, prior_std: FloatArray,

@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.errors import FitError
+from estimator.numerics import student_quantile
 
 FEWEST = 6
 """Holds with the weight, and as many without."""
@@ -100,7 +100,7 @@ def fit_torque_constant(holds: Holds, weight: Weight, gravity_mps2: float) -> To
         raise FitError("the weight acts in the wrong direction: current and angle disagree in sign; correct [motor] "
                        "sign or the encoder's direction")
     direction = theta[:2] / slope
-    share = float(stdtrit(dof, 0.975) * np.sqrt(direction @ cover[:2, :2] @ direction)) / slope
+    share = float(student_quantile(dof) * np.sqrt(direction @ cover[:2, :2] @ direction)) / slope
     one = direction @ np.linalg.pinv(table)[:2]
     by_friction = FRICTION_SHARE * sum(abs(float(one @ uneven)) for uneven in _uneven(theta, sine, holds)) / slope
     constant = weight.mass_kg * weight.arm_m * gravity_mps2 / slope

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq import BoolArray, FloatArray
 from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.tolerances import with_tolerances
+from estimator.numerics import student_quantile
 from estimator.score import NO_TESTS, Score, ScoreTests, least_sigmas
 
 LEAST_APART = 2.0 * float(np.log(SURE / (1.0 - SURE)))
@@ -65,7 +65,7 @@ class Explanation:
     @cached_property
     def half_widths(self) -> FloatArray:
         """(m,) of their 95 % intervals, by Student's t of their own scatter between runs."""
-        return np.asarray(stdtrit(self.left.freedom, 0.975) * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(student_quantile(self.left.freedom) * np.sqrt(np.diag(self.covariance)))
 
     def with_zero_within(self) -> Explanation:
         """The explanation with effects all of whose sizes have zero in their intervals `within` the tolerances, too."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.account import label, sizes_text
@@ -14,6 +13,7 @@ from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
 from estimator.effects import Effect, classes, placed
 from estimator.loops import LawCause, LawCheck
 from estimator.model import Mechanism
+from estimator.numerics import student_quantile
 from estimator.verdicts import Verdict
 
 
@@ -60,7 +60,7 @@ def scale_of(check: LawCheck, cause: LawCause, volts: float) -> float:
 
 def _cause(check: LawCheck, cause: LawCause, mechanism: Mechanism, volts: float) -> Cause:
     effect, factor = _placed(cause, mechanism), scale_of(check, cause, volts)
-    half = float(stdtrit(cause.freedom, 0.975)) * cause.std * factor
+    half = student_quantile(cause.freedom) * cause.std * factor
     sizes = tuple(SizeEstimate(s.name, mechanism.unit(s.unit), float(v), (float(v - h), float(v + h)))
                   for s, v, h in zip(effect.sizes, cause.size * factor, half))
     return Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(cause.size * factor),

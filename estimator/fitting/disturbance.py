@@ -23,8 +23,8 @@ from daq import FloatArray
 from estimator.fitting.excerpt import excerpt
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.noise_update import TORQUE_SHARE, floors_under, most_noise
-from estimator.fitting.second_ahead import errors_ahead, log_ratio
-from estimator.free_runs import FittedModel
+from estimator.fitting.second_ahead import errors_ahead
+from estimator.free_runs import FittedModel, log_ratio
 from estimator.likelihood import OFF, LatentProblem, Latents, Noise, Process, State, add_reading
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions

@@ -48,12 +48,13 @@ def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: 
 
 def omitted_effects(result: FitResult, scores: RunScores, free: BoolArray, candidates: Sequence[Candidate]
                     ) -> tuple[OmittedEffect, ...]:
-    """Effects that the runs show at the optimum, the most significant first; none of a run too short for its scores.
+    """Effects that the runs show at the optimum, the most significant first; none of a run too short for its scores, or
+    where no parameter was estimated.
 
     Each would move a parameter by more than `MOST_DISAGREEMENT` half widths of its interval. `free` (m,) are the
     parameters that were estimated; those of the result come first, and the sizes of `candidates` follow.
     """
-    if not scores.scores or not candidates:
+    if not scores.scores or not candidates or not free[: len(result.beta)].any():
         return ()
     taken = np.flatnonzero(free)
     sizes = free.size + np.arange(sum(one.width for one in candidates))

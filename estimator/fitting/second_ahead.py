@@ -9,7 +9,6 @@ import numpy as np
 from daq import FloatArray
 from estimator.free_runs import SHORT_S, FittedModel, predict_filtered
 from estimator.options import FitOptions
-from estimator.score import student_quantile
 from estimator.signals import SignalSet
 
 
@@ -20,15 +19,3 @@ def errors_ahead(signals: Sequence[SignalSet], models: Sequence[FittedModel], op
     """
     with np.errstate(all="ignore"):  # what diverges counts as it does in the table
         return predict_filtered(models, signals, options, SHORT_S, each_piece=True).by_block(SHORT_S)
-
-
-def log_ratio(errors: FloatArray) -> tuple[float, float]:
-    """Mean log of the second's rms errors over the first's, of errors (2, S), and half of its 95 % interval.
-
-    In logarithms no single second decides. One second alone has no interval.
-    """
-    ratio = 0.5 * np.log(errors[1] / errors[0])
-    if len(ratio) < 2:
-        return float(ratio.mean()), np.inf
-    half = student_quantile(len(ratio) - 1) * float(ratio.std(ddof=1)) / len(ratio) ** 0.5
-    return float(ratio.mean()), half

@@ -28,11 +28,11 @@ from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.second_ahead import errors_ahead, log_ratio
+from estimator.fitting.second_ahead import errors_ahead
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
 from estimator.fitting.tolerances import with_tolerances_of, without_tolerances
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
-from estimator.free_runs import FittedModel
+from estimator.free_runs import SHORT_S, FittedModel, log_ratio, measured_use
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import MOST_DISAGREEMENT, Combination, Finding, FitResult, HeldOut, SecondOpinion
@@ -160,7 +160,9 @@ def _held_out(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     if error.shape[1] < LEAST_SEGMENTS:
         return None
     ratio, half = log_ratio(error)
-    return HeldOut(1.0 - math.exp(ratio), (1.0 - math.exp(ratio + half), 1.0 - math.exp(ratio - half)), error.shape[1])
+    count = error.shape[1]
+    return HeldOut(1.0 - math.exp(ratio), (1.0 - math.exp(ratio + half), 1.0 - math.exp(ratio - half)), count,
+                   measured_use("simulation", error[1], np.ones(count), np.zeros(count, dtype=int), SHORT_S))
 
 
 def _blocks(data: Dataset) -> list[Dataset]:

@@ -114,9 +114,8 @@ def without_tolerances(result: FitResult) -> tuple[FloatArray, FloatArray]:
     """(p,) estimate and (p, p) covariance by what the runs show themselves: noise and scatter between runs."""
     if result.budget is None:
         return result.beta, result.covariance
-    found: FloatArray = np.sum([part.covariance for part in result.budget.parts if part.source in (NOISE, SCATTER)],
-                               axis=0)
-    return result.beta - result.budget.moved, found
+    own = (part.covariance for part in result.budget.parts if part.source in (NOISE, SCATTER))
+    return result.beta - result.budget.moved, sum(own, np.zeros_like(result.covariance))
 
 
 def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: IndexArray) -> list[BudgetPart]:

@@ -16,6 +16,7 @@ Definitions, once for all:
 
 from estimator.free_runs.filtered import filtered_motion, predict_filtered
 from estimator.free_runs.fitted_model import FittedModel
+from estimator.free_runs.measured_use import measured_use
 from estimator.free_runs.predicted_run import (
     HORIZONS_S,
     SHORT_S,
@@ -25,7 +26,7 @@ from estimator.free_runs.predicted_run import (
     rows_of,
 )
 from estimator.free_runs.smoothed_run import SmoothedRun
-from estimator.free_runs.table import BLOCK_S, PredictionTable, Ratio, paired_ratio, tabulate, together
+from estimator.free_runs.table import BLOCK_S, PredictionTable, Ratio, log_ratio, paired_ratio, tabulate, together
 
 __all__ = [
     "BLOCK_S",
@@ -38,6 +39,8 @@ __all__ = [
     "SmoothedRun",
     "channel_names",
     "filtered_motion",
+    "log_ratio",
+    "measured_use",
     "paired_ratio",
     "predict_filtered",
     "predict_run",

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq import BoolArray, FloatArray, IndexArray
 from estimator.free_runs.predicted_run import PredictedRun
+from estimator.numerics import student_quantile
 
 BLOCK_S = 2.0
 """Length of a block [s]: a few periods of the slowest motion; errors further apart count as independent."""
@@ -19,7 +20,6 @@ LEAST_ERROR = 1e-8
 """Squared errors below this share of a sensor's variance are alike."""
 LEAST_UNITS = 5
 """Fewest runs, or blocks, from whose scatter an interval is made."""
-CONFIDENCE = 0.95
 
 
 class Ratio(NamedTuple):
@@ -165,29 +165,39 @@ def together(a: PredictedRun, b: PredictedRun) -> PredictedRun:
                    residual_torque=np.concatenate([a.residual_torque, b.residual_torque]))
 
 
-def paired_ratio(a: FloatArray, b: FloatArray, run: IndexArray) -> Ratio:
+def paired_ratio(a: FloatArray, b: FloatArray, run: IndexArray, least: int = LEAST_UNITS) -> Ratio:
     """Root of sum a / sum b, summed squared errors (B,) of the same blocks, which belong to the runs `run` (B,).
 
     The interval is that of the log ratio by the jackknife over runs, or over blocks where there are fewer than
-    `LEAST_UNITS` runs, with Student's t (Efron 1982).
+    `least` runs, with Student's t (Efron 1982).
     """
-    from scipy.special import stdtrit
-
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return Ratio(float(np.sqrt(a.sum() / b.sum())) if np.isfinite(b).all() else np.nan, None)
     if b.sum() <= 0.0:
         return Ratio(np.nan, None)
     value = float(np.sqrt(a.sum() / b.sum()))
     units = [run == k for k in np.unique(run)]
-    if len(units) < LEAST_UNITS:
+    if len(units) < least:
         units = [np.arange(a.size) == k for k in range(a.size)]
-    if len(units) < LEAST_UNITS or a.sum() <= 0.0:
+    if len(units) < least or a.sum() <= 0.0:
         return Ratio(value, None)
     left_a, left_b = (np.maximum(x.sum() - np.array([x[u].sum() for u in units]), 1e-300) for x in (a, b))
     logs, count = 0.5 * np.log(left_a / left_b), len(units)
     std = np.sqrt((count - 1) / count * np.sum((logs - logs.mean()) ** 2))
-    half = float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * std
+    half = student_quantile(count - 1) * float(std)
     return Ratio(value, (float(value * np.exp(-half)), float(value * np.exp(half))))
+
+
+def log_ratio(errors: FloatArray) -> tuple[float, float]:
+    """Mean log of the second's rms errors over the first's, of errors (2, S), and half of its 95 % interval.
+
+    In logarithms no single second decides. One second alone has no interval.
+    """
+    ratio = 0.5 * np.log(errors[1] / errors[0])
+    if len(ratio) < 2:
+        return float(ratio.mean()), np.inf
+    half = student_quantile(len(ratio) - 1) * float(ratio.std(ddof=1)) / len(ratio) ** 0.5
+    return float(ratio.mean()), half
 
 
 def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about_mean: bool = False,
@@ -232,7 +242,8 @@ def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about
     every = np.concatenate(compared, axis=1)
     return PredictionTable(
         tuple(runs), np.repeat(np.arange(len(runs)), [len(e) - 1 for e in edges]), first.channels, read, horizons,
-        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), smoother)
+        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1),
+        smoother)
 
 
 def _edges(run: PredictedRun) -> IndexArray:

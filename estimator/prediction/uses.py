@@ -2,10 +2,8 @@
 
 - feedforward: rms error of the model's torque over the rms of the measured one, at the joints with a motor, along the
   smoothed motion.
-- simulation: rms error of free runs over a horizon in units of each sensor's spread, over encoders and gyros. The
-  horizon is the longest over which the error is surely at most ENOUGH.
-
-An interval is of the error on one more run, not of the mean: with R runs, sqrt(1 + R) times as wide.
+- simulation: rms error of free runs over a horizon, over encoders and gyros, in units of each sensor's spread in all of
+  the runs. The horizon is the longest over which the error is surely at most ENOUGH.
 """
 
 from __future__ import annotations
@@ -14,20 +12,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq import FloatArray, IndexArray
+from daq import FloatArray
 from estimator.free_runs import (
     SHORT_S,
     FittedModel,
     PredictionTable,
     SmoothedRun,
-    paired_ratio,
+    measured_use,
     predict_run,
     tabulate,
 )
 from estimator.likelihood import Latents, State
 from estimator.result import FitResult
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
-from estimator.use import ENOUGH, Purpose, Use, best_first
+from estimator.use import Use, best_first
 
 USE_HORIZONS_S = (0.1, SHORT_S, 5.0, np.inf)
 
@@ -46,21 +44,12 @@ def uses_of(table: PredictionTable, driven: Sequence[int], model: int = 0) -> tu
 
 def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: FloatArray) -> Use:
     longest = min(one.longest_s for one in table.runs)
-    return _measured("simulation", table.by_block(horizon_s)[model] * weights, weights, table.run,
-                     horizon_s if np.isfinite(horizon_s) else longest)
+    return measured_use("simulation", table.by_block(horizon_s)[model] * weights, weights, table.run,
+                        horizon_s if np.isfinite(horizon_s) else longest)
 
 
 def _feedforward(table: PredictionTable, driven: list[int], model: int) -> Use:
-    return _measured("feedforward", *table.torques(model, driven), table.run)
-
-
-def _measured(use: Purpose, error: FloatArray, size: FloatArray, run: IndexArray, horizon_s: float | None = None
-              ) -> Use:
-    """By the root of the sum of `error` (B,) over that of `size` (B,), of blocks of the runs `run` (B,)."""
-    value, ci95 = paired_ratio(error, size, run)
-    wider = float(np.sqrt(1 + np.unique(run).size))
-    one_more = None if ci95 is None else (value * (ci95[0] / value) ** wider, value * (ci95[1] / value) ** wider)
-    return Use(use, one_more is not None and one_more[1] <= ENOUGH, value, horizon_s=horizon_s, ci95=one_more)
+    return measured_use("feedforward", *table.torques(model, driven), table.run)
 
 
 def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> PredictionTable | None:
@@ -76,7 +65,7 @@ def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> Predict
     for part in result.left_out:
         wanted = [(s, max(part.where.start, int(end) - s.time_s.size), min(part.where.stop, int(end)), int(end))
                   for s, end in zip(signals, ends, strict=True)]
-        wanted = [one for one in wanted if one[2] - one[1] >= LEAST_SEGMENT]
+        wanted = [one for one in wanted if one[2] - one[1] >= min(LEAST_SEGMENT, one[0].time_s.size)]
         if not wanted:
             continue
         rows = np.concatenate([np.arange(begin, stop) for _, begin, stop, _ in wanted])

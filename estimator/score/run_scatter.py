@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import BoolArray, FloatArray
-from estimator.numerics import inverse_root, pseudo_inverse
+from estimator.numerics import inverse_root, pseudo_inverse, student_quantile
 from estimator.result import TWO_SIDED, RunAgreement
 from estimator.score.run_scores import RunScores
 from estimator.score.score import Score
@@ -200,12 +200,3 @@ def _freedom(root: FloatArray, share: FloatArray, adjust: FloatArray) -> FloatAr
 
 def _t_quantiles(freedom: FloatArray) -> FloatArray:
     return np.array([student_quantile(float(nu)) for nu in freedom])
-
-
-def student_quantile(freedom: float) -> float:
-    """Student's at 0.975, of 1 degree of freedom or more: t = sqrt(nu) tan(theta) has a density like
-    cos(theta)^(nu - 1). SciPy's takes a third of a second to import."""
-    theta = np.linspace(0.0, 0.5 * np.pi, 4001)
-    density = np.cos(theta) ** (freedom - 1.0)
-    below = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    return float(np.sqrt(freedom) * np.tan(np.interp(0.95 * below[-1], below, theta)))

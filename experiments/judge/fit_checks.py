@@ -14,7 +14,7 @@ from estimator.prediction import repeated_share, state_columns, taken
 from experiments.judge.agreement import disputed, units
 from experiments.judge.opinion import disagreement
 from experiments.judge.prior import contradictions_of
-from experiments.judge.residuals import STRONG, autocorrelation, residuals_of, torque_autocorrelation, torque_fit
+from experiments.judge.residuals import STRONG, autocorrelation, residuals_of, torque_autocorrelation
 
 STRUCTURE = 0.3
 """Correlation of a driven joint's torque residual, at any of 25 lags, less that of a right model, beyond which the
@@ -88,12 +88,9 @@ def within_budget(result: FitResult) -> bool:
 
 def _facts(result: FitResult) -> list[Finding]:
     """What limits the use of the parameters."""
-    fits = {} if result.undetermined else torque_fits(result)  # no model is made of what is not determined
-    told = ", ".join(f"{share:.1f} % at joint {j}" for j, share in fits.items())
     disputes = ", ".join(result.mechanism.names[k] for k in disputed(result))
     loose = _loose(result)
-    return [*([Finding("fact", "torque_fit", f"The model's torque fits to {told}")] if fits else []),
-            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}; the "
+    return [*([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}; the "
                        "intervals allow for it")] if disputes else []),
             *([Finding("fact", "loose", f"Wide intervals: {', '.join(loose)}")] if loose else []),
             Finding("fact", "not_shown", "No residual shows a wrong sensor scale: it changes the parameters instead")]
@@ -184,12 +181,6 @@ def _omitted(result: FitResult) -> list[Finding]:
     return [Finding("doubt", "omitted_effect", f"the residuals look like {where}, which the model lacks "
                     f"(p {max(first.p_value, LEAST_P):.1g}); it would move {first.parameter} by "
                     f"{first.half_widths:.1f} half widths of its interval{more}")]
-
-
-def torque_fits(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> fit of the model's torque to the measured one [%]; without those that hardly move."""
-    found = {j + 1: torque_fit(result, j) for j in result.mechanism.actuated} if result.trajectories else {}
-    return {j: share for j, share in found.items() if np.isfinite(share)}
 
 
 def _loose(result: FitResult) -> list[str]:

@@ -96,9 +96,8 @@ def open_torque(result: FitResult, path: Trajectory, j: int) -> BoolArray:
     return found
 
 
-def torque_fit(result: FitResult, j: int, paths: Sequence[Trajectory] | None = None) -> float:
+def torque_fit(result: FitResult, j: int, paths: Sequence[Trajectory]) -> float:
     """Fit [%] of the model's torque of joint `j`, from 0, to the measured one where the model says what it is."""
-    paths = result.trajectories if paths is None else paths
     judged = np.concatenate([~open_torque(result, path, j) for path in paths])
     measured, modelled = (np.concatenate([getattr(path, name)[:, j] for path in paths])
                           for name in ("tau_measured", "tau"))

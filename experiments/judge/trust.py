@@ -15,9 +15,10 @@ from estimator import Finding, FitResult, Use
 from estimator.model import VELOCITY_SCALE
 from estimator.prediction import SHORT_S, PredictionTable
 from experiments.judge.budget import precision
-from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
+from experiments.judge.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit
 from experiments.judge.headline import Headline, Level, sentence_of
 from experiments.judge.next_steps import DIAGNOSE, EACH, SIMULATE, VALIDATE
+from experiments.judge.residuals import torque_fit
 from experiments.judge.uses import all_uses, best_words, uses_line
 from experiments.models import MechanismSettings, TrustValues
 
@@ -64,11 +65,12 @@ class Trust(Struct, frozen=True):
 
 def fit_trust(result: FitResult) -> Trust:
     """Trust in a fit, by its findings and those of `check_fit`. `validation_trust` judges free runs."""
-    torque, passive = torque_fits(result), not result.mechanism.actuated
+    paths, driven = result.trajectories, result.mechanism.actuated
+    torque = paths and any(np.isfinite(torque_fit(result, j, paths)) for j in driven)
     untested = f"the filters of {result.method} colour the residual" if result.method not in ("mle", "shooting") else \
-        "" if torque or passive else "the torque hardly changes"
+        "" if torque or not driven else "the torque hardly changes"
     return trust_by((*result.findings, *check_fit(result)), precision(result), untested,
-                    ", ".join(result.fixed) if passive else "", all_uses(result))
+                    "" if driven else ", ".join(result.fixed), all_uses(result))
 
 
 def trust_by(findings: Sequence[Finding], known: str = "", untested: str = "", scale: str = "",

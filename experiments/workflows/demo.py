@@ -22,6 +22,7 @@ from experiments.session import prepare
 from experiments.workflows.demo_files import write_results
 from experiments.workflows.demo_result import Demo
 from experiments.workflows.diagnose import diagnose_prepared
+from experiments.workflows.fit import with_uses
 from experiments.workflows.validate import model_of_fit, predict_setup, validate_model
 
 RUNS, SECONDS = 8, 10.0
@@ -59,7 +60,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     training = replace(setup, datasets=tuple(d for d in setup.datasets if d.name not in confirm))
     held = replace(setup, datasets=tuple(d for d in setup.datasets if d.name in confirm))
     with busy("fitting"):
-        result = fit(training.datasets, setup.mechanism, setup.options)
+        result = with_uses(training, fit(training.datasets, setup.mechanism, setup.options))
         hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
         seen = all("q1_rad" in d for d in training.datasets)  # a drive reads no hip
         benchmark = fit(training.datasets, setup.mechanism, hall, "wls") if seen else None

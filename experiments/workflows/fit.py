@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, InputError, Rig
-from estimator import Finding, FitError, FitResult, Method, Use
+from estimator import Finding, FitError, FitResult, Method
 from estimator.fitting import UNLIMITED, fit_admissible, with_second_opinion
 from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered, predict_left_out, uses_of
@@ -104,7 +104,7 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
                 *result.findings, *wrong,
                 *(Finding("assumption", "run_note", text) for text in setup.notes),
                 *(Finding("assumption", "choice", str(choice)) for choice in choices if choice not in given)]
-    result = replace(result, uses=_uses(setup, result))
+    result = with_uses(setup, result)
     choices = (*choices, *_found_smoothing(setup.mechanism, result.mechanism))  # its fit has said so
     gain, result = None, replace(result, loop=(*result.loop, *loop.hidden))
     if gainless:
@@ -138,10 +138,13 @@ def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Fin
                     *(Finding("remedy", "columns", text) for text in seen.remedies))
 
 
-def _uses(setup: Setup, result: FitResult) -> tuple[Use, ...]:
-    """What the fit is good for, by the runs that it was not fitted to; empty where that cannot be said."""
+def with_uses(setup: Setup, result: FitResult) -> FitResult:
+    """`result` with what it is good for by runs that it was not fitted to; as it is where that cannot be said."""
+    opinion = result.second_opinion
+    if result.method == "shooting" and opinion and opinion.held_out and opinion.held_out.use:
+        return replace(result, uses=(opinion.held_out.use,))
     table = predict_left_out(result, split_signals(setup.datasets, result.mechanism, setup.options))
-    return () if table is None else uses_of(table, result.mechanism.actuated)
+    return result if table is None else replace(result, uses=uses_of(table, result.mechanism.actuated))
 
 
 def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:

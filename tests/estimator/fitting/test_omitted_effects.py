@@ -38,3 +38,10 @@ def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: f
 def test_a_fit_that_is_not_asked_does_not_look() -> None:
     leg, runs = recorded(73, 1, 20.0)
     assert fitted(leg, scaled(runs, "gyro_radps", 1.02), FitOptions()).omitted == ()
+
+
+def test_a_fit_of_parameters_that_are_all_given_lacks_nothing_and_keeps_them() -> None:
+    leg, runs = recorded(73, 1, 20.0)
+    given = dict(zip(leg2().names, map(float, leg.beta()), strict=True))
+    result = fitted(leg, scaled(runs, "gyro_radps", 1.02), FitOptions(fixed=given, seeks_omitted=True, tolerances={}))
+    assert result.omitted == () and result.left_out == () and list(result.beta) == list(given.values())

@@ -11,7 +11,8 @@ from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult, fit
 from estimator.fitting.mle import fit_mle
 from estimator.model import leg2
-from estimator.score import ALPHA, RunScores, Score, agreement_of, robust_covariance, student_quantile
+from estimator.numerics import student_quantile
+from estimator.score import ALPHA, RunScores, Score, agreement_of, robust_covariance
 from estimator.score.run_scatter import arrays, homogeneity, random_effects
 from tests.support.mujoco_leg import Leg, record
 

@@ -1,0 +1,12 @@
+from .detect import compare_sessions as compare_sessions
+from .detect import detect_change as detect_change
+from .loop_law import with_changed_law as with_changed_law
+from .noise import LogLevels as LogLevels
+from .reference import Reference as Reference
+from .reference import learn_reference as learn_reference
+from .result import Change as Change
+from .result import ChangedCause as ChangedCause
+from .result import Kind as Kind
+from .result import LevelChange as LevelChange
+from .scores import known_reference as known_reference
+from .structure import Structure as Structure
