@@ -18,7 +18,7 @@ from estimator.change.scores import ReferenceFit
 from estimator.errors import FitError
 from estimator.fit_errors import FIT_ERRORS
 from estimator.prediction import SHORT_S, predict_run, smooth, tabulate
-from estimator.score import Score, total
+from estimator.score import Score, step_without
 
 
 def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Score] = ()) -> LogLevels:
@@ -61,8 +61,5 @@ def larger_error(test: LogLevels, reference: LogLevels, comparisons: int = 1) ->
 
 def _without(fit: ReferenceFit, scores: Sequence[Score], k: int) -> FloatArray:
     """(p,) parameters of the fit to all runs but the k-th; a friction at its bound of zero stays there."""
-    moved = np.flatnonzero(fit.free & (fit.model.beta != 0.0))
-    others = [s for j, s in enumerate(scores) if j != k]
-    beta = fit.model.beta.copy()
-    beta[moved] += total([s.of(moved) for s in others]).size()
-    return beta
+    beta: FloatArray = fit.model.beta
+    return beta + step_without(scores, fit.free & (beta != 0.0), (k,))

@@ -1,7 +1,7 @@
 """Score and information of runs over parameters, effects and generic terms; projection, scatter, tests; tolerances."""
 
 from estimator.score.enlargement import enlarged
-from estimator.score.left_out import steps_without
+from estimator.score.left_out import step_without, steps_without
 from estimator.score.marginal import Marginal, discounted, marginalise, projected
 from estimator.score.nuisances import (
     BEYOND,
@@ -35,6 +35,6 @@ __all__ = [
     "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
-    "score_alone", "score_at", "score_runs", "steps_without", "tolerance_sources", "torque_power",
+    "score_alone", "score_at", "score_runs", "step_without", "steps_without", "tolerance_sources", "torque_power",
     "total", "with_torque_gain",
 ]

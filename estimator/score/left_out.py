@@ -1,36 +1,44 @@
-"""`steps_without`: where parameters move to without a part of their data."""
+"""`step_without`: where parameters move to without a part of their data."""
 
 from __future__ import annotations
+
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from daq import BoolArray, FloatArray
-from estimator.numerics import inverse_root
-from estimator.score.run_scatter import arrays
 from estimator.score.run_scores import RunScores
+from estimator.score.score import Score, total
 
 PARTS = 4
 """Of a single run."""
 
 
+def step_without(scores: Sequence[Score], free: BoolArray, part: Collection[int]) -> FloatArray:
+    """(m,) step of the `free` parameters (m,) from the optimum of all `scores` to that without those in `part`.
+
+    It is I^-1 s, s and I the score and information of the others together.
+    """
+    step = np.zeros(free.size)
+    if free.any():
+        index = np.flatnonzero(free)
+        step[index] = total([one.of(index) for k, one in enumerate(scores) if k not in part]).size()
+    return step
+
+
 def steps_without(scores: RunScores, free: BoolArray, known: FloatArray | None = None
                   ) -> list[tuple[slice, FloatArray]]:
-    """Samples of each run, or of each of PARTS parts of a single one, with the step (m,) to the fit without it.
+    """Samples of each run, or of each of PARTS parts of a single one, with `step_without` it; empty without two.
 
-    Empty without at least two. The step is -(I - I_k)^-1 s_k, s_k and I_k score and information of the part, I that of
-    all runs and what is `known` (p, p) from elsewhere. `free` (m,) has the estimated parameters.
+    What is `known` from elsewhere has the information (p, p). At the optimum its score balances that of all runs.
     """
-    count, index, found = len(scores.scores), np.flatnonzero(free), []
-    if count < 2 or not index.size:
+    count, every = len(scores.scores), list(scores.scores)
+    if count < 2:
         return []
-    parts = np.array_split(np.arange(count), count if scores.unit == "run" else PARTS)
-    score, information = arrays(scores.scores)
-    whole = information.sum(axis=0)
     if known is not None:
-        whole[: len(known), : len(known)] += known
-    for part in parts:
-        left, step = whole - information[part].sum(axis=0), np.zeros(free.size)
-        root = inverse_root(left[np.ix_(index, index)])
-        step[index] = -root @ (root.T @ score[part].sum(axis=0)[index])
-        found.append((slice(scores.places[part[0]].start, scores.places[part[-1]].stop), step))
-    return found
+        both = np.zeros_like(every[0].information)
+        both[: len(known), : len(known)] = known
+        every.append(Score(-total(every).score, both))
+    parts = np.array_split(np.arange(count), count if scores.unit == "run" else PARTS)
+    return [(slice(scores.places[part[0]].start, scores.places[part[-1]].stop), step_without(every, free, set(part)))
+            for part in parts]
