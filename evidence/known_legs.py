@@ -150,7 +150,7 @@ def answered(leg: Leg, runs: Sequence[Dataset], more: str = "") -> Answered:
         fit, found = legid.fit(read, rig), legid.diagnose(read, rig)
     at = dict(zip(fit.mechanism.names, fit.ci95(), strict=True))  # a fit may have chosen further terms
     inside = tuple(bool(at[name][0] <= b <= at[name][1]) for name, b in zip(NAMES, leg.beta(), strict=True))
-    return Answered(fit, inside, str(fit.trust).split(" the ")[0], found, read)
+    return Answered(fit, inside, str(fit.trust).split("; ")[-1].split(" the ")[0], found, read)
 
 
 def truth_of(beta: Sequence[float] | np.ndarray) -> dict[str, float]:

@@ -246,7 +246,8 @@ def _pairs(seed: int) -> Iterator[str]:
                 f"**Pairs trusted wrongly: {sum(one.wrong for one in found.values())} of {len(found)} fits, "
                 f"{sum(one.trusted for one in found.values())} of which are trusted.**", ""]
     yield from table("put in | largest error | the fit's first line", (
-        f"{' and '.join(kinds)} | {one.worst:.2f} % | {one.sentence.partition(':')[0].rstrip('.')}"
+        f"{' and '.join(kinds)} | {one.worst:.2f} % | "
+        + one.sentence.split("; ")[-1].partition(":")[0].partition(". ")[0].rstrip(".")
         for kinds, one in found.items()))
 
 

@@ -235,7 +235,7 @@ def _misses(rows: Sequence[Outcome]) -> Iterator[tuple[object, ...]]:
 
 def _short(sentence: str) -> str:
     """Without what follows the colon."""
-    return sentence.split(":")[0].split(";")[0].rstrip(".")
+    return sentence.split("; ")[-1].split(":")[0].split(". ")[0].rstrip(".")
 
 
 EVIDENCE = (
