@@ -24,7 +24,7 @@ class Use:
     horizon_s: float | None = None
     """Of a simulation"""
     ci95: tuple[float, float] | None = None
-    """Of the error on one more run; None where there are too few"""
+    """Of the error on one more run; None where there are too few to say"""
     measured_on: Literal["held_out", "fit"] = "held_out"
 
 

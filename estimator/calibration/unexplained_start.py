@@ -45,7 +45,7 @@ def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) 
     names = np.append([p.term for p in mechanism.parameters], ["offset"] * (slow.free.size - mechanism.p))
     dry, inertia = (np.flatnonzero(names[slow.free] == term) for term in ("coulomb", "inertia"))
     thin = round(len(data) / max(len(motion.q), 1))
-    for k in range(2, int(MOST * count)):
+    for k in range(3, int(MOST * count)):  # one strange block alone is no start
         behind = slice(k, None)
         gram = grams[behind].sum(axis=0)
         scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))

@@ -17,7 +17,8 @@ def measured_use(use: Purpose, error: FloatArray, size: FloatArray, run: IndexAr
     """A use by the root of the sum of `error` (B,) over that of `size` (B,), of blocks of the runs `run` (B,).
 
     Its interval is of the error on one more run: sqrt(1 + R) times as wide as that of the mean, which is by the
-    scatter of runs, or by `paired_ratio` over blocks where there are fewer runs than FEWEST.
+    scatter of runs, or by `paired_ratio` over blocks where there are fewer runs than FEWEST. One that ends
+    above 1 says nothing, and is left out.
     """
     value, ci95 = paired_ratio(error, size, run, FEWEST)
     if ci95 is None:
@@ -26,4 +27,4 @@ def measured_use(use: Purpose, error: FloatArray, size: FloatArray, run: IndexAr
     count = sums.shape[1]
     middle, half = log_ratio(sums) if count >= FEWEST else (np.log(value), np.log(ci95[1] / value))
     low, high = (float(np.exp(middle + sign * half * (1 + count) ** 0.5)) for sign in (-1, 1))
-    return Use(use, high <= ENOUGH, value, horizon_s=horizon_s, ci95=(low, high))
+    return Use(use, high <= ENOUGH, value, horizon_s=horizon_s, ci95=(low, high) if high < 1.0 else None)
