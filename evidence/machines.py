@@ -68,12 +68,14 @@ def typed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def unpack(one: Machine, snapshot: Path, folder: Path) -> None:
-    """The rig, the map and the records, as a person has them at the start."""
+    """The rig, the map and the records, as a person has them at the start: of `FILE#LIST` the first that is listed."""
     (folder / "rig.toml").write_text(one.rig)
     if one.columns:
         (folder / "columns.toml").write_text(one.columns)
     for name, path in one.files.items():
-        (folder / name).write_bytes(shown(snapshot, one.commit, path))
+        path, _, listed = path.partition("#")
+        record = shown(snapshot, one.commit, path)
+        (folder / name).write_bytes(json.dumps(json.loads(record)[listed][0]).encode() if listed else record)
 
 
 def shown(snapshot: Path, commit: str, path: str) -> bytes:
