@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import isfinite
 from typing import Literal
 
 ENOUGH = 0.1
@@ -35,5 +36,5 @@ def use_of_parameters(half: float, value: float, sound: bool) -> Use:
 
 
 def best_first(uses: Iterable[Use]) -> tuple[Use, ...]:
-    """The supported ones first, else as they are."""
-    return tuple(sorted(uses, key=lambda one: not one.supported))
+    """Those with a number, the supported ones first."""
+    return tuple(sorted((one for one in uses if isfinite(one.figure)), key=lambda one: not one.supported))

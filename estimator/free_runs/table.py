@@ -92,10 +92,9 @@ class PredictionTable:
         """(B,) squared error of a model's torque, and (B,) square of the measured one, summed over `joints` and the
         samples of each block, in units of each joint's mean square."""
         unit = np.maximum(np.mean(np.concatenate([run.torque[:, joints] for run in self.runs]) ** 2, axis=0), 1e-300)
-        both = ((run.residual_torque[model], run.torque) for run in self.runs)
-        sums = [[_sums((x[:, joints] ** 2 / unit).sum(axis=1), _edges(run)) for x in pair]
-                for run, pair in zip(self.runs, both)]
-        errors, sizes = (np.concatenate(one) for one in zip(*sums))
+        sums = [[_sums((x[:, joints] ** 2 / unit).sum(axis=1), _edges(run))
+                 for x in (run.residual_torque[model], run.torque)] for run in self.runs]
+        errors, sizes = np.concatenate(sums, axis=1)
         return errors, sizes
 
     @cached_property
