@@ -11,7 +11,7 @@ import pytest
 from estimator import Combination, Finding, FitResult, Method, RunAgreement, Use
 from estimator.result import Budget, BudgetPart, OmittedEffect
 from experiments.documents import FitDocument
-from experiments.judge import Headline, Trust, fit_trust, with_fit_trust
+from experiments.judge import Headline, Trust, all_uses, fit_trust, with_fit_trust
 from experiments.judge.headline import counted
 from experiments.models import TrustValues
 from experiments.reports import fit_sections
@@ -100,7 +100,8 @@ def test_no_two_lines_of_a_fit_disagree() -> None:
                 assert not wrong, f"{line!r} and {wrong[0]!r}"
         head = fit_trust(result).headline
         assert sum(bool(re.search(r"(TRUST|NOT TO BE|NOT TESTED)", line)) for line in head.told) == 1
-        best = next((use for use in result.uses if use.supported), None)
+        best = next((use for use in all_uses(result) if use.supported and use.measured_on == "held_out"), None)
+        assert best is None or RIG not in result.findings
         assert ("held-out" in head.title) <= (best is not None)
         assert ("DO NOT" in head.title) <= (head.level == ("caution" if best is not None else "bad"))
         assert head.action and not [line for line in head.reasons if "legid " in line]
