@@ -9,16 +9,16 @@ from estimator import FitResult, Use, best_first, use_of_parameters
 from experiments.judge.budget import leading
 from experiments.judge.fit_checks import check_fit
 
-AGAINST = ("fault", "doubt")
-"""Roles of findings that speak against parameters, ..."""
-UNFIT = {"sensor_scale", "rig_contradiction", "columns"}
-"""... and kinds that speak against all else, too: held-out data have the same wrong reading."""
+UNFIT = ("sensor_scale", "rig_contradiction")
+"""Kinds of suspect results that speak against every use: held-out data have the same wrong reading."""
 
 
 def all_uses(result: FitResult) -> tuple[Use, ...]:
     """Uses of a fit, the supported ones first; of its parameters by the interval of the leading one."""
-    k, against = leading(result), [one for one in (*result.findings, *check_fit(result)) if one.role in AGAINST]
-    found = [replace(one, supported=one.supported and not UNFIT & {one.kind for one in against}) for one in result.uses]
+    k = leading(result)
+    against = [one for one in (*result.findings, *check_fit(result)) if one.role in ("fault", "doubt")]
+    unfit = any(one.role == "fault" or one.kind in UNFIT for one in against)
+    found = [replace(one, supported=one.supported and not unfit) for one in result.uses]
     if k is not None and result.converged:
         found.append(use_of_parameters(float(result.half_width[k]), float(result.beta[k]), not against))
     return best_first(found)
