@@ -300,8 +300,7 @@ class FitResult:
     """Whether the runs agree; the covariance has in it what they disagree about. None: the method does not ask."""
 
     left_out: tuple[LeftOut, ...] = ()
-    """The fit without each run, to first order; empty where the method has none, or one part determines what no other
-    does."""
+    """The fit without each run, to first order; empty where the method has none, or a single run is too short."""
     uses: tuple[Use, ...] = ()
     """What the model is good for, by data that it was not fitted to; empty where nobody has asked."""
     run_noise: RunNoise | None = None

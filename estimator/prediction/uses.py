@@ -64,7 +64,7 @@ def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> Predict
     motion = [np.concatenate([getattr(path, name) for path in result.trajectories]) for name in ("q", "qd", "qdd")]
     for part in result.left_out:
         wanted = [(s, max(part.where.start, int(end) - s.time_s.size), min(part.where.stop, int(end)), int(end))
-                  for s, end in zip(signals, ends, strict=True)]
+                  for s, end in zip(signals, ends)]
         wanted = [one for one in wanted if one[2] - one[1] >= min(LEAST_SEGMENT, one[0].time_s.size)]
         if not wanted:
             continue

@@ -171,8 +171,7 @@ def with_fit_trust(trust: Trust, of_fit: TrustValues | None) -> Trust:
     use, _, why = trust.sentence.partition(":")
     if trust.level == "good":
         trust = structs.replace(trust, level="caution", sentence=f"{use}, not the parameters:{why}")
-    return structs.replace(trust, reasons=(*trust.reasons, "The fit did not trust the parameters: "
-                                           f"{why_not}"))
+    return structs.replace(trust, reasons=(*trust.reasons, f"The fit did not trust the parameters: {why_not}"))
 
 
 def _percent(share: float) -> str:

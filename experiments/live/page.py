@@ -287,10 +287,10 @@ class JobView:
             if job.report is not None:
                 ui.link("Open the report", f"/report/{job.report.name}", new_tab=True)
             if job.on_devices:
-                checks = [line for line in map(_check, job.lines) if line]
-                passed = [line for line in checks if 'class="ok"' in line]
-                _html(f'<div class="checks">{"".join(line for line in checks if line not in passed)}<details><summary>'
-                      f'{len(passed)} passed</summary>{"".join(passed)}</details></div>')
+                passed = [line for line in job.lines if line.startswith("ok ")]
+                others = [line for line in job.lines if line not in passed]
+                _html(f'<div class="checks">{"".join(map(_check, others))}<details><summary>{len(passed)} passed'
+                      f'</summary>{"".join(map(_check, passed))}</details></div>')
 
 
 def _judgement(quality: Quality | None) -> tuple[str, str]:
