@@ -83,6 +83,7 @@ class ControllerIntake:
         self._lock = threading.Lock()
         self._pings: dict[int, int] = {}
         self._trips: deque[tuple[int, int]] = deque()
+        self._shortest_ns: int | None = None
         self._polled = controller.capabilities.polled
         self._waits: deque[int] = deque(maxlen=WAITS_KEPT)
         self._knee: deque[tuple[int, float]] = deque(maxlen=_KEPT)
@@ -127,10 +128,9 @@ class ControllerIntake:
         with self._lock:
             if self._polled:
                 return 0.5e-9 * sorted(self._waits)[len(self._waits) // 2] if self._waits else None
-            shortest = min((trip for _, trip in self._trips), default=None)
-        if shortest is None:
+        if self._shortest_ns is None:
             return None
-        return 0.5e-9 * shortest if shortest > -IMPOSSIBLE_TRIP_NS else float("inf")
+        return 0.5e-9 * self._shortest_ns if self._shortest_ns > -IMPOSSIBLE_TRIP_NS else math.inf
 
     def knee(self) -> tuple[float, float | None] | None:
         """(angle [rad], speed [rad/s]) from the newest telemetry, the speed over the last 20 ms; None before any."""
@@ -180,6 +180,7 @@ class ControllerIntake:
             self._trips.append((host_rx_ns, host_rx_ns - host_tx_ns - turnaround_ns))
             while host_rx_ns - self._trips[0][0] > TRIPS_KEPT_NS:
                 self._trips.popleft()
+            self._shortest_ns = min(trip for _, trip in self._trips)
         self._clock_event(self._ticks.probe(host_tx_ns, host_rx_ns, pong.rx_tick_us, pong.tx_tick_us), host_rx_ns)
         self._sink.add("/leg/clock", host_rx_ns, host_tx_ns, host_rx_ns, pong.rx_tick_us, pong.tx_tick_us,
                        self.boot_id, pong.ping_id, sequence=pong.ping_id)

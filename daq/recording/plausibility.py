@@ -142,9 +142,8 @@ class TorqueAgreement:
     def __init__(self, limits: Limits, calibration: Calibration, telemetry_hz: float) -> None:
         self._band, self._share, self._calibration = limits.torque_band_nm, limits.torque_share, calibration
         self._keep = np.exp(-1.0 / (telemetry_hz * np.array([FAST_S, SLOW_S])))
-        self._asked2 = np.zeros(2)
-        self._error2 = np.zeros(2)
-        self._product = np.zeros(2)
+        self._means = np.zeros((3, 2))
+        """Of asked², error² and measured times asked, each over FAST_S and SLOW_S."""
         self._before = self._current = self._asked_then = 0.0
         self.wrong = Lasting()
 
@@ -153,12 +152,11 @@ class TorqueAgreement:
         asked, self._before = 0.5 * (frame.torque_cmd_nm + self._before), frame.torque_cmd_nm
         if math.isnan(measured):
             return  # trips as a reading that failed
-        for kept, new in ((self._asked2, asked**2), (self._error2, (measured - asked) ** 2),
-                          (self._product, measured * asked)):
-            kept += (1.0 - self._keep) * (new - kept)
-        apart = math.sqrt(self._error2[0]) > self._band + self._share * math.sqrt(self._asked2[0])
-        enough = self._asked2[1] > self._band**2
-        gain = self._product[1] / self._asked2[1] if enough else 1.0
+        new = np.array([[asked**2], [(measured - asked) ** 2], [measured * asked]])
+        self._means += (1.0 - self._keep) * (new - self._means)
+        (asked2, slow2), (error2, _), (_, product) = self._means.tolist()
+        apart = math.sqrt(error2) > self._band + self._share * math.sqrt(asked2)
+        gain = product / slow2 if slow2 > self._band**2 else 1.0
         if frame.current_a != self._current:  # noise moves the last digit of a shunt that lives
             self._current, self._asked_then = frame.current_a, asked
         stuck = abs(asked - self._asked_then) > STUCK_SHARE * self._band

@@ -131,7 +131,13 @@ class Supervisor:
     def check(self, sample: Sample) -> Trip | None:
         """None while everything is within its limit, else the first limit passed."""
         if self.trip is None:
-            self.trip = next(self._trips(sample), None)
+            for name, limit, what in WATCHED:  # often, so no `Trip` is made of what is within its limit
+                value, bound = getattr(sample, name), getattr(self.limits, limit)
+                # A temperature below zero is no danger; every other quantity counts by its size.
+                # So written that NaN trips.
+                if value is not None and not (value if limit == "temperature_degc" else abs(value)) <= bound:
+                    self.trip = Trip(limit, what, value, bound)
+                    break
         return self.trip
 
     def watched(self, sample: Sample) -> Iterator[Trip]:
@@ -140,10 +146,3 @@ class Supervisor:
             value = getattr(sample, name)
             if value is not None:
                 yield Trip(limit, what, value, getattr(self.limits, limit))
-
-    def _trips(self, sample: Sample) -> Iterator[Trip]:
-        for trip in self.watched(sample):
-            # A temperature below zero is no danger; every other quantity counts by its size.
-            size = trip.value if trip.limit == "temperature_degc" else abs(trip.value)
-            if not size <= trip.bound:  # so written that NaN trips
-                yield trip

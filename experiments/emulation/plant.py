@@ -187,8 +187,8 @@ class LegPlant:
         b = self.body
         q1, q2, w1, q2d = x
         w2 = w1 + q2d
-        e1x, e1y, t1x, t1y = sin(q1), -cos(q1), cos(q1), sin(q1)
-        e2x, e2y, t2x, t2y = sin(q1 + q2), -cos(q1 + q2), cos(q1 + q2), sin(q1 + q2)
+        e1x, t1x, e2x, t2x = sin(q1), cos(q1), sin(q1 + q2), cos(q1 + q2)
+        e1y, t1y, e2y, t2y = -t1x, e1x, -t2x, e2x
         # centripetal part of each centre's acceleration, minus gravity: what is left when both angles' second
         # derivatives are zero
         r1x, r1y = -b.c1 * w1 * w1 * e1x, -b.c1 * w1 * w1 * e1y + b.gravity
