@@ -13,7 +13,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test fast kernel ruff types style test-slow test-study lint test-kernel soak live-soak \
+.PHONY: install demo drives test fast kernel ruff types style test-slow slow slow-kernel test-study lint test-kernel soak live-soak \
 	fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned table5 replication imu-links walker bench \
 	evidence port port-faults fuzz tutorial screenshots changed servos servo-laws payloads looks lab-chain timing tuning engines \
 	trust wheel arm64 \
@@ -65,8 +65,14 @@ fast: $(STAMP) $(THEIRS)
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
 # of studies and recordings, clusters, the generator of `make evidence`, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
+	$(MAKE) --jobs 2 slow slow-kernel
+
+slow: $(STAMP) $(THEIRS)
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+		-m "slow and not study" tests
+
+slow-kernel: $(STAMP)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.tools.other_kernel --slow
-	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "slow and not study" tests
 
 # The same on other drives and seeds, and on all public records of the casebook: half an hour.
 test-study: $(STAMP) $(THEIRS)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 UNKNOWN: set[str] = set()
+LONGEST = ("docs/test_tutorial.py", "legid/test_api.py", "experiments/session/test_servo_law.py", "test_packaging.py",
+           "experiments/workflows/test_executor.py", "experiments/workflows/test_demo.py", "test_contributing.py")
+"""Begun first by `make test-slow`: a worker that begins one last works alone."""
 
 gc.disable()  # modules and tests that are collected stay: to look for garbage among them takes a quarter of their time
 for library in ("OMP", "OPENBLAS"):  # before numpy is imported; two workers share two cores
@@ -31,6 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     tiers = tomllib.loads((HERE / "tiers.toml").read_text(encoding="utf-8"))
     tier_of = {name: tier for tier, names in tiers.items() for name in names}
     UNKNOWN.update(tier_of)
+    items.sort(key=lambda item: not item.path.as_posix().endswith(LONGEST))
     for item in items:
         if item.path.is_relative_to(HERE):
             name = f"{item.path.relative_to(HERE).as_posix()}::{item.name}"
