@@ -46,6 +46,7 @@ from .residuals import fit_percent as fit_percent
 from .residuals import open_torque as open_torque
 from .residuals import residual_tests as residual_tests
 from .residuals import torque_fit as torque_fit
+from .trust import STATED as STATED
 from .trust import Trust as Trust
 from .trust import fit_trust as fit_trust
 from .trust import fits_of as fits_of

@@ -178,15 +178,19 @@ def _percent(share: float) -> str:
     return f"{share:.1f} %" if np.isfinite(share) else "none, it diverged"
 
 
-def model_contradictions(model: MechanismSettings, rig: MechanismSettings) -> list[str]:
+STATED = "actuated", "gravity_mps2", "lever_arm_m", "input"
+"""Facts of a rig, and ..."""
+CHOSEN = "rotor_inertia", "torque_offset", "friction_velocity_radps"
+"""... those that a fit may have chosen, which two models may therefore have otherwise."""
+
+
+def model_contradictions(model: MechanismSettings, rig: MechanismSettings, facts: Sequence[str] = STATED + CHOSEN
+                         ) -> list[str]:
     """Facts in which the rig given differs from the one that a model was fitted with."""
-    pairs = ((name, getattr(model, name), getattr(rig, name)) for name in
-             ("actuated", "gravity_mps2", "lever_arm_m", "rotor_inertia", "torque_offset", "friction_velocity_radps",
-              "input"))
     silent = {"friction_velocity_radps": VELOCITY_SCALE}  # a fit may have chosen another
-    return [f"the model was fitted with {name} = {_plain(then)}, the rig says {_plain(now)}"
-            for name, then, now in pairs if then != now and now != silent.get(name)]
+    return [f"the model was fitted with {name} = {_plain(then)}, the rig says {_plain(now)}" for name in facts
+            if (then := getattr(model, name)) != (now := getattr(rig, name)) and now != silent.get(name)]
 
 
 def _plain(value: object) -> str:
-    return str(list(value)) if isinstance(value, tuple) else str(value)
+    return str(list(value) or "none") if isinstance(value, tuple) else str(value)

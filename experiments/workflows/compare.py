@@ -9,7 +9,7 @@ import numpy as np
 from daq import Dataset, Rig
 from estimator.prediction import HORIZONS_S, predict
 from experiments.console import progress
-from experiments.judge import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
+from experiments.judge import STATED, Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
 from experiments.models import Model, fitted_model_of, known_effects, shapes_of
 from experiments.session import prepare, require_sound
 from experiments.workflows.validate import require_mechanism
@@ -66,7 +66,7 @@ def _flags(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[s
              zip(models, files) if (seen := [run for run in runs if run in model.provenance.runs])]
     found += [f"{file} does not say which runs it was fitted to. If these are among them, its errors are too small."
               for model, file in zip(models, files) if not model.provenance.runs]
-    for text in model_contradictions(models[0].mechanism, models[1].mechanism):
+    for text in model_contradictions(models[0].mechanism, models[1].mechanism, STATED):
         facts = text.removeprefix("the model was fitted with ").replace("the rig", "B")
         found.append(f"The models differ in their rig: {facts}.")
     return found
