@@ -40,9 +40,9 @@ def of_session(leader: int) -> set[int]:
             if (found := _status(stat))[3:4] == [str(leader)] and found[0] != "Z"}
 
 
-def until(true: Callable[[], object]) -> bool:
+def until(true: Callable[[], object], patience_s: float = PATIENCE_S) -> bool:
     """Whether it came true before patience ended."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while not true():
         if time.monotonic() > deadline:
             return False

@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 
 from experiments import cli
@@ -22,7 +23,17 @@ def document(*words: object, status: int = 0) -> Any:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "document.json"
         typed(*words, "--json", path, status=status)
-        return json.loads(path.read_text())
+        return read_json(path)
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds."""
+    return json.loads(path.read_text())
+
+
+def values(found: Any) -> np.ndarray:
+    """Values of the parameters in the document of a fit."""
+    return np.array([parameter["value"] for parameter in found["parameters"]])
 
 
 class Shell:

@@ -1,6 +1,5 @@
 """`legid calibrate encoder` and `shunt`: against closed forms, and stops of a simulated leg."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ from tests.support.still_plant import StillPlant, StillState
 pytestmark = REAL_CLOCK
 
 G = 9.81
-Fails = Callable[..., str]
 
 
 @pytest.fixture
@@ -29,17 +27,6 @@ def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
     return path
-
-
-@pytest.fixture
-def fails(shell: Shell) -> Fails:
-    def run(status: int, *args: str) -> str:
-        shell.read()
-        shell("calibrate", *args, status=status)
-        err = shell.err
-        assert err.count("\n") == 1
-        return err
-    return run
 
 
 def hanging(q1: float, seconds: float = 6.0, seed: int = 0) -> np.ndarray:
@@ -123,7 +110,7 @@ def simulated_stops(count: int) -> list[tuple[float, float]]:
     return stops
 
 
-def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, fails: Fails, shell: Shell) -> None:
+def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, shell: Shell) -> None:
     zero, step = 0.215, 2 * np.pi / 8192
     stops = simulated_stops(6)
     paths = [write_off(tmp_path / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
@@ -140,7 +127,7 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert left == pytest.approx(np.hypot(half / 1.96, 0.1 / G), rel=0.05)
     text = rig.read_text()
     assert "# nothing measured yet" in text and "ASSUMED" not in text and "# the gearbox" in text
-    assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
+    assert "4 stops reached from either side" in shell.fails("calibrate encoder", *paths[:2], "--rig", rig, status=1)
 
     body = LegBody()
     write_model(tmp_path / "model.json", list(body.beta()), LEG)
@@ -150,20 +137,20 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert load_rig(rig).calibration.knee_zero_rad == pytest.approx(zero, abs=cone)
 
 
-def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path, fails: Fails) -> None:
+def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path, shell: Shell) -> None:
     n = int(6 * TELEMETRY_HZ)
     moved = write_off(tmp_path / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
-    assert "the knee moved about 3.0 s" in fails(1, "encoder", moved, "--straight", "--rig", str(rig))
+    assert "the knee moved about 3.0 s" in shell.fails("calibrate encoder --straight", moved, "--rig", rig, status=1)
     armed = write_off(tmp_path / "armed.mcap", state=1)
-    assert "never off" in fails(1, "encoder", armed, "--straight", "--rig", str(rig))
+    assert "never off" in shell.fails("calibrate encoder --straight", armed, "--rig", rig, status=1)
     short = write_off(tmp_path / "short.mcap", seconds=0.5)
-    assert "off for 0.5" in fails(1, "encoder", short, "--straight", "--rig", str(rig))
+    assert "off for 0.5" in shell.fails("calibrate encoder --straight", short, "--rig", rig, status=1)
     blind = write_off(tmp_path / "blind.mcap")
-    assert "--straight" in fails(2, "encoder", blind, "--rig", str(rig))
+    assert "--straight" in shell.fails("calibrate encoder", blind, "--rig", rig)
     aslant = write_off(tmp_path / "aslant.mcap", readings=hanging(1.4))
-    assert "calibrate mount" in fails(1, "encoder", aslant, "--rig", str(rig))
+    assert "calibrate mount" in shell.fails("calibrate encoder", aslant, "--rig", rig, status=1)
     (tmp_path / "r.csv").write_text("time_s\n")
-    assert "not a native run file" in fails(2, "encoder", str(tmp_path / "r.csv"), "--rig", str(rig))
+    assert "not a native run file" in shell.fails("calibrate encoder", tmp_path / "r.csv", "--rig", rig)
     assert rig.read_text() == RIG
 
 
@@ -193,7 +180,7 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
 # -- from the devices --------------------------------------------------------------------------------------------
 
 def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, shell: Shell,
-                                                    monkeypatch: pytest.MonkeyPatch, fails: Fails) -> None:
+                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
         telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
     path = tmp_path / "rig.toml"
@@ -207,9 +194,9 @@ def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, shell: Shell
             raise EOFError
 
         monkeypatch.setattr("builtins.input", nobody)
-        assert "nobody answers" in fails(2, "encoder", "--rig", str(path))
+        assert "nobody answers" in shell.fails("calibrate encoder --rig", path)
     found = load_rig(path).calibration
     assert found.shunt_offset_a == pytest.approx(0.031, abs=0.004)
     assert found.knee_zero_rad == pytest.approx(0.215, abs=1e-3)
     path.write_text(RIG)
-    assert "[devices.controller]" in fails(2, "shunt", "--rig", str(path))
+    assert "[devices.controller]" in shell.fails("calibrate shunt --rig", path)

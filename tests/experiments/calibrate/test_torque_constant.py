@@ -19,6 +19,13 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[calibration]\ntorque_consta
 WEIGHT = Weight(0.5, 0.25, 0.0005, 0.0005)
 
 
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG)
+    return path
+
+
 def found(truth: Truth, seed: int = 1, columns: str = "imu") -> tuple[float, float]:
     """(gain, half) against the rig file's constant."""
     rng, rig = np.random.default_rng(seed), parse_rig(RIG)
@@ -67,9 +74,8 @@ def test_a_run_without_a_column_is_refused(column: str, line: str) -> None:
         find_holds(Dataset("r", run.rate_hz, run.time_s, columns), parse_rig(RIG))
 
 
-def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: Path, shell: Shell) -> None:
-    rng, rig = np.random.default_rng(2), tmp_path / "rig.toml"
-    rig.write_text(RIG)
+def test_the_command_writes_constant_and_interval_and_keeps_comments(rig: Path, tmp_path: Path, shell: Shell) -> None:
+    rng = np.random.default_rng(2)
     bare, weighted = (table_of(hold_run(Truth(), rng, m), tmp_path / f"{m}.csv") for m in (0.0, 0.5))
     order = "calibrate shunt", bare, "--weighted", weighted, "--weight 0.5 --arm 0.25 --rig", rig
     shell(*order, "--dry-run")
@@ -86,12 +92,11 @@ def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: P
 
 
 @pytest.mark.parametrize("more, line", [
-    (["--weight", "0.5"], "--arm: is None"), (["--weight", "-1", "--arm", "0.2"], "--weight: is -1"),
-    (["--weight", "1", "--arm", "0.2"], "holds with the weight and without it are needed"),
-    (["--weight", "1", "--arm", "0.2", "--arm-error", "-1"], "--arm-error: is -1")])
-def test_what_is_missing_is_asked_for(tmp_path: Path, shell: Shell, more: list[str], line: str) -> None:
-    (tmp_path / "rig.toml").write_text(RIG)
-    assert line in shell.fails("calibrate shunt --rig", tmp_path / "rig.toml", *more)
+    ("--weight 0.5", "--arm: is None"), ("--weight -1 --arm 0.2", "--weight: is -1"),
+    ("--weight 1 --arm 0.2", "holds with the weight and without it are needed"),
+    ("--weight 1 --arm 0.2 --arm-error -1", "--arm-error: is -1")])
+def test_what_is_missing_is_asked_for(rig: Path, shell: Shell, more: str, line: str) -> None:
+    assert line in shell.fails("calibrate shunt --rig", rig, more)
 
 
 def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
@@ -101,10 +106,9 @@ def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
         torque_constant_nm_per_a=0.9)
 
 
-def test_the_staircase_reaches_every_level_from_both_sides(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "rig.toml").write_text(RIG)
+def test_the_staircase_reaches_every_level_from_both_sides(rig: Path, tmp_path: Path, shell: Shell) -> None:
     plan = tmp_path / "plan.csv"
-    shell("excite --rig", tmp_path / "rig.toml", "--holds 3 --peak 0.9 --out", plan)
+    shell("excite --rig", rig, "--holds 3 --peak 0.9 --out", plan)
     torque = np.loadtxt(plan, delimiter=",", skiprows=1)[:, 1]
     held = torque[1:][np.diff(torque) == 0.0].tolist()
     levels = [held[0], *(b for a, b in pairwise(held) if a != b)]

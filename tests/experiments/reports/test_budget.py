@@ -1,7 +1,5 @@
 """The budget of a fit as a line, a table, JSON, a page and part of MODEL.json, and what the first line says of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +14,11 @@ from estimator.model import leg2
 from estimator.result import Budget, BudgetPart
 from experiments.judge import Trust, fit_trust, model_of, with_fit_trust
 from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
-from experiments.reports import fit_sections, fit_text
-from experiments.reports.html import render_page
 from experiments.rig import RigFacts
 from experiments.rig.writer import rig_toml
 from experiments.session.setup import stated_tolerances
-from tests.support.fits import document_of, synthetic_fit
+from tests.support.fits import document_of, page_of, synthetic_fit, text_of
+from tests.support.shell import read_json
 
 SETTINGS = MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81)
 
@@ -37,13 +34,22 @@ def budgeted(enlarged: float = 1.0) -> FitResult:
     return replace(plain, budget=budget, covariance=np.sum([part.covariance for part in parts], axis=0))
 
 
+def with_part(name: str, share: float) -> FitResult:
+    """The same, of which another tolerance moves every parameter by this share."""
+    found = budgeted()
+    assert found.budget is not None
+    wide = BudgetPart(name, share * found.beta[None, :], (0.1,))
+    return replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
+                   covariance=found.covariance + wide.covariance)
+
+
 def test_the_first_lines_say_how_well_a_parameter_is_known() -> None:
     trust = fit_trust(budgeted())
     assert trust.level == "good"
     assert trust.reasons[0] == "beta1 is known to 4.6 % (torque constant 3.9 %, noise 2.1 %, lever arm 0.98 %)."
     advice = next_measurement(budgeted())
-    assert advice is not None and advice.source and advice.name == "torque_gain"
-    assert "Write torque_gain = 0.002 under [tolerance]" in fit_text(document_of(budgeted()))
+    assert advice.source and advice.name == "torque_gain"
+    assert "Write torque_gain = 0.002 under [tolerance]" in text_of(budgeted())
 
 
 def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
@@ -53,8 +59,8 @@ def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
     assert row["parameter"] == "beta1" and row["parts"][0]["source"] == "torque_gain"
     assert sum(part["std"] ** 2 for part in row["parts"]) == pytest.approx(found.std[0] ** 2)
     assert document["tolerances_enlarged"] == {"IMU": 6.0}
-    assert "the runs ask for larger tolerances: IMU 6 times" in fit_text(document_of(found))
-    page = render_page("Fit", "", fit_sections(document_of(found), found))
+    assert "the runs ask for larger tolerances: IMU 6 times" in text_of(found)
+    page = page_of(found)
     assert "What the intervals consist of" in page and "share of the variance" in page
     save_model(model_of(found, SETTINGS, "linear", ["r1"]), tmp_path / "m.json")
     model = load_model(tmp_path / "m.json")
@@ -62,7 +68,7 @@ def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
     assert whole == pytest.approx(np.array(model.covariance, dtype=float))
     band = fitted_model_of(model).covariance  # the torque of a run has the same scale as the parameters
     assert band is not None and band[0, 0] == pytest.approx(found.std[0] ** 2 - (0.02 * found.beta[0]) ** 2)
-    wrong = json.loads((tmp_path / "m.json").read_text())
+    wrong = read_json(tmp_path / "m.json")
     wrong["budget"][0]["directions"][0].pop()
     (tmp_path / "m.json").write_text(json.dumps(wrong))
     with pytest.raises(InputError, match="budget"):
@@ -70,12 +76,7 @@ def test_json_page_and_model_have_the_parts(tmp_path: Path) -> None:
 
 
 def test_a_value_that_the_budget_leaves_unknown_is_not_trusted() -> None:
-    found = budgeted()
-    assert found.budget is not None
-    wide = BudgetPart("imu_misalignment", 0.6 * found.beta[None, :], (0.1,))
-    lost = replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
-                   covariance=found.covariance + wide.covariance)
-    trust = fit_trust(lost)
+    trust = fit_trust(with_part("imu_misalignment", 0.6))
     assert trust.level == "bad" and trust.sentence.startswith("DO NOT TRUST the parameters: the budget is wider")
 
 
@@ -124,11 +125,6 @@ def test_init_writes_every_default_as_a_comment_that_can_be_taken_in() -> None:
 
 
 def test_a_value_that_is_not_known_has_no_share_above_the_whole() -> None:
-    found = budgeted()
-    assert found.budget is not None
-    wide = BudgetPart("encoder_offset@1", 14.0 * found.beta[None, :], (0.1,))
-    lost = replace(found, budget=replace(found.budget, parts=(*found.budget.parts, wide)),
-                   covariance=found.covariance + wide.covariance)
-    line = document_of(lost).precision
+    line = document_of(with_part("encoder_offset@1", 14.0)).precision
     assert line.startswith("beta1 is not known: its interval is wider than its value")
     assert "%" not in line

@@ -1,7 +1,5 @@
 """What runs disagree about, as a terminal, a page, the JSON and the first line say it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -10,10 +8,7 @@ import pytest
 
 from estimator import FitResult, RunAgreement
 from experiments.judge import fit_trust
-from experiments.reports import fit_sections
-from experiments.reports.fit_text import fit_text
-from experiments.reports.html import render_page
-from tests.support.fits import document_of, synthetic_fit
+from tests.support.fits import document_of, page_of, synthetic_fit, text_of
 
 RUNS = ("a.csv", "b.csv", "c.csv")
 
@@ -27,20 +22,15 @@ def with_runs(**more: Any) -> FitResult:
 def disputed() -> FitResult:
     """The knee's Coulomb level is another in the third run."""
     plain = synthetic_fit()
-    p = plain.mechanism.p
     by_run = np.tile(plain.beta, (3, 1))
     by_run[:, 8] = 0.10, 0.11, 0.14
-    quantile = np.full(p, 1.959964)
-    quantile[8] = 4.303
-    scatter, seen = np.full(p, 1e-6), np.zeros(p, dtype=bool)
-    scatter[8], seen[8] = 0.021, True
-    mean = by_run.mean(axis=0)
-    return with_runs(p_value=2e-5, disagree=True, quantile=quantile, mean=mean, scatter=scatter, by_run=by_run,
-                     seen=seen)
+    seen = np.arange(plain.mechanism.p) == 8
+    return with_runs(p_value=2e-5, disagree=True, quantile=np.where(seen, 4.303, 1.959964), mean=by_run.mean(axis=0),
+                     scatter=np.where(seen, 0.021, 1e-6), by_run=by_run, seen=seen)
 
 
 def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> None:
-    text = fit_text(document_of(disputed))
+    text = text_of(disputed)
     assert ("3 runs disagree by more than their noise (p = 2e-05): intervals allow for it, 2.2 times as wide as by "
             "noise alone\nruns disagree about beta9 (Coulomb friction, knee): 0.100 .. 0.140, scatter 0.021 about "
             "0.117; interval widened 2.2 times") in text
@@ -49,9 +39,9 @@ def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> N
 
 
 def test_runs_that_agree_and_one_alone_say_so() -> None:
-    assert "3 runs agree within their noise (p = 0.3)" in fit_text(document_of(with_runs()))
-    assert "one run gives no scatter between runs" in fit_text(document_of(with_runs(p_value=None, runs=RUNS[:1])))
-    assert "runs" not in fit_text(document_of(synthetic_fit())).replace("ran ", "")
+    assert "3 runs agree within their noise (p = 0.3)" in text_of(with_runs())
+    assert "one run gives no scatter between runs" in text_of(with_runs(p_value=None, runs=RUNS[:1]))
+    assert "runs" not in text_of(synthetic_fit()).replace("ran ", "")
 
 
 def test_the_json_says_what_each_run_says(disputed: FitResult) -> None:
@@ -67,10 +57,9 @@ def test_the_json_says_what_each_run_says(disputed: FitResult) -> None:
 
 
 def test_the_page_has_a_column_for_each_run(disputed: FitResult) -> None:
-    page = render_page("fit", "", fit_sections(document_of(disputed), disputed))
+    page = page_of(disputed)
     assert "Do the runs agree?" in page and all(run in page for run in RUNS)
-    plain = synthetic_fit()
-    assert "Do the runs agree?" not in render_page("fit", "", fit_sections(document_of(plain), plain))
+    assert "Do the runs agree?" not in page_of(synthetic_fit())
 
 
 def test_the_first_line_is_careful_where_runs_disagree(disputed: FitResult) -> None:

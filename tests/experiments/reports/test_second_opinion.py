@@ -1,7 +1,5 @@
 """What a second estimator says, as the first line, a terminal, the JSON and a page say it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +9,7 @@ from estimator import FitResult
 from estimator.methods import ResultMethod
 from estimator.result import HeldOut, SecondOpinion
 from experiments.judge import fit_trust
-from experiments.reports import fit_sections
-from experiments.reports.fit_text import fit_text
-from experiments.reports.html import render_page
-from tests.support.fits import document_of, synthetic_fit
+from tests.support.fits import document_of, page_of, synthetic_fit, text_of
 
 
 def with_opinion(times: float, held_out: HeldOut | None = None, reported: ResultMethod = "mle") -> FitResult:
@@ -33,7 +28,7 @@ def test_estimators_that_agree_take_a_line_and_no_warning() -> None:
     found = with_opinion(1.23)
     assert fit_trust(found).sentence == fit_trust(replace(found, second_opinion=None)).sentence
     assert ("second opinion, by multiple shooting: largest disagreement 1.2 half widths, in beta2; not compared: beta9"
-            in fit_text(document_of(found)).splitlines())
+            in text_of(found).splitlines())
 
 
 @pytest.mark.parametrize(("held_out", "told"), [
@@ -68,5 +63,5 @@ def test_json_and_page_have_both_estimates() -> None:
     assert row["name"] == "beta2" and row["disagreement"] == 36.0 and len(opinion["parameters"]) == 8
     assert found.second_opinion is not None and row["value"] == found.second_opinion.beta[1]
     assert document_of(synthetic_fit()).document["second_opinion"] is None
-    page = render_page("Fit", "", fit_sections(document_of(found), found))
+    page = page_of(found)
     assert "Second opinion" in page and "maximum likelihood" in page

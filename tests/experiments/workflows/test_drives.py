@@ -1,8 +1,6 @@
 """The tutorial on each emulated drive: record, look, fit, play back; and, slow, the hidden spring."""
 
-import json
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +12,27 @@ from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
-from tests.support.shell import Shell, document
+from tests.support.paths import DEMO_RIG
+from tests.support.shell import Shell, document, read_json, values
 
 KINDS = ("moteus", "odrive", "dynamixel")
 
 
 def rig_text(kind: str) -> str:
-    return rig_with_drive((files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8"), kind)
+    return rig_with_drive(DEMO_RIG.read_text(), kind)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp_path: Path, shell: Shell) -> None:
-    rig, plan, run = tmp_path / "rig.toml", tmp_path / "plan.csv", tmp_path / "run.mcap"
-    rig.write_text(rig_text(kind))
-    write_plan(random_multisine(7, 6.0, 0.6), plan)
-    shell("record --rig", rig, "--plan", plan, "--out", run, "--emulate")
+    rig, run = tmp_path / "rig.toml", tmp_path / "r.mcap"
+    shell(*words(tmp_path, rig_text(kind), "--emulate", seconds=6.0))
     shell("info", run)
     said = shell.out
     assert "samples lie between request and answer" in said and "jitters by" in said
     data = load_any_run(run, parse_rig(rig.read_text()))
     assert data.clock_bound_s is not None and 2e-4 < data.clock_bound_s < 2e-3
-    value = np.array([p["value"] for p in document("fit", run, "--rig", rig)["parameters"]])
-    assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.01
+    found = values(document("fit", run, "--rig", rig))
+    assert np.abs(found / LegBody().beta() - 1.0)[:5].max() < 0.01
     again = tmp_path / "again.mcap"
     shell("record --replay", run, "--out", again)
     assert "by the limits" not in shell.out
@@ -44,10 +41,10 @@ def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp
     assert played.clock_bound_s == data.clock_bound_s
 
 
-def words(folder: Path, text: str, *more: str) -> tuple[object, ...]:
+def words(folder: Path, text: str, *more: str, seconds: float = 5.0) -> tuple[object, ...]:
     """A command that records a plan under this rig file."""
     (folder / "rig.toml").write_text(text)
-    write_plan(random_multisine(7, 5.0, 0.6), folder / "plan.csv")
+    write_plan(random_multisine(7, seconds, 0.6), folder / "plan.csv")
     return "record --rig", folder / "rig.toml", "--plan", folder / "plan.csv", "--out", folder / "r.mcap", *more
 
 
@@ -92,5 +89,5 @@ def test_an_unknown_drive_is_refused_in_a_line() -> None:
                                   for kind in KINDS])
 def test_the_hidden_spring_is_named(kind: str, tmp_path: Path, shell: Shell) -> None:
     shell("demo --drive", kind, "--out", tmp_path)
-    found = json.loads((tmp_path / "diagnosis.json").read_text())
+    found = read_json(tmp_path / "diagnosis.json")
     assert found["verdict"] == "named" and [c["effect"] for c in found["causes"]] == ["joint_stiffness"]
