@@ -1,7 +1,6 @@
 """Python has what the commands have: the guess of a map, exports, pages, a first line and a table, a short repr."""
 
 import io
-import json
 import re
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -14,6 +13,7 @@ import legid
 from experiments.cli import main
 from tests.support.imported_files import degrees_log
 from tests.support.paths import FIXTURES
+from tests.support.shell import read_json
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 
@@ -76,8 +76,7 @@ def test_results_show_themselves_and_write_the_commands_pages(log: Path, tmp_pat
         assert rest[:20] == typed_rest[:20] and len(rest) > 20 and title.split()[0] == typed_title.split()[0]
     for shown in (run, found, seen, seen[0], model):
         assert len(repr(shown)) < 700 and len(str(shown)) < 3000, type(shown)
-    document = json.loads((tmp_path / "v.json").read_text())
-    (one,) = document["runs"]
+    (one,) = read_json(tmp_path / "v.json")["runs"]
     assert one["initial_state"] == pytest.approx({"q1_rad": seen[0].q[0, 0], "q2_rad": seen[0].q[0, 1],
                                                   "q1d": seen[0].qd[0, 0], "q2d": seen[0].qd[0, 1]}, abs=1e-12)
     assert f"{seen[0].q[0, 1]:.5g}" in said.split("Initial states")[1]

@@ -15,8 +15,7 @@ from experiments import cli
 from experiments.emulation import EFFECTS, LegBody
 from experiments.excite import random_multisine
 from experiments.judge import model_of
-from experiments.models import EffectValue, Model, save_model
-from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models import EffectValue, Model, mechanism_settings, save_model
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 

@@ -9,8 +9,7 @@ from estimator.model import leg2
 from experiments.documents import FitDocument
 from experiments.emulation import LegBody
 from experiments.models import MechanismSettings
-from experiments.reports import Section, fit_sections
-from experiments.reports.fit_text import fit_text
+from experiments.reports import Section, fit_sections, fit_text
 from experiments.reports.html import render_page
 
 

@@ -71,9 +71,14 @@ def _status(stat: Path) -> list[str]:
         return []
 
 
+def ran(*words: object, cwd: Path = ROOT, status: int = 0) -> subprocess.CompletedProcess[str]:
+    """Python with these arguments and the checkout's packages, which must end so."""
+    done = subprocess.run([sys.executable, *map(str, words)], cwd=cwd, text=True, capture_output=True, check=False,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == status, done.stdout + done.stderr
+    return done
+
+
 def evidence(*words: object) -> str:
     """What `python -m evidence` prints, which must end well."""
-    done = subprocess.run([sys.executable, "-m", "evidence", *map(str, words)], cwd=ROOT, text=True,
-                          capture_output=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return ran("-m", "evidence", *words).stdout

@@ -12,7 +12,7 @@ from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from experiments.emulation import LegBody
 from experiments.emulation.plant import LegPlant
 from tests.support.models import LEG, write_model
-from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
+from tests.support.motor_off_runs import RIG, TELEMETRY_HZ, hanging, write_off
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
 from tests.support.still_plant import StillPlant, StillState
@@ -27,14 +27,6 @@ def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
     return path
-
-
-def hanging(q1: float, seconds: float = 6.0, seed: int = 0) -> np.ndarray:
-    """(n, 6) of an IMU on a link at rest at q1, mounted along the link's axes."""
-    rng = np.random.default_rng(seed)
-    n = int(seconds * IMU_HZ)
-    still = np.array([0.01, -0.02, 0.03, G * np.sin(q1), -G * np.cos(q1), 0.0])
-    return still + np.repeat([0.005, 0.05], 3) * rng.standard_normal((n, 6))
 
 
 # -- intervals ---------------------------------------------------------------------------------------------------
@@ -110,10 +102,10 @@ def simulated_stops(count: int) -> list[tuple[float, float]]:
     return stops
 
 
-def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, shell: Shell) -> None:
+def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, here: Path, shell: Shell) -> None:
     zero, step = 0.215, 2 * np.pi / 8192
     stops = simulated_stops(6)
-    paths = [write_off(tmp_path / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
+    paths = [write_off(here / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
                        readings=hanging(q1, seed=k)) for k, (q1, q2) in enumerate(stops)]
     shell("calibrate encoder", *paths, "--rig", rig)
     out, err = shell.read()
@@ -130,27 +122,27 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert "4 stops reached from either side" in shell.fails("calibrate encoder", *paths[:2], "--rig", rig, status=1)
 
     body = LegBody()
-    write_model(tmp_path / "model.json", list(body.beta()), LEG)
-    shell("calibrate encoder", *paths[:2], "--rig", rig, "--model", tmp_path / "model.json")
+    write_model(here / "model.json", list(body.beta()), LEG)
+    shell("calibrate encoder", *paths[:2], "--rig", rig, "--model model.json")
     cone = np.arcsin(body.coulomb[1] / (body.m2 * body.c2 * G))
     assert f"the model's friction of +- {cone:.3f} rad" in shell.out
     assert load_rig(rig).calibration.knee_zero_rad == pytest.approx(zero, abs=cone)
 
 
-def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path, shell: Shell) -> None:
+def test_encoder_records_that_say_nothing_are_refused(rig: Path, here: Path, shell: Shell) -> None:
     n = int(6 * TELEMETRY_HZ)
-    moved = write_off(tmp_path / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
-    assert "the knee moved about 3.0 s" in shell.fails("calibrate encoder --straight", moved, "--rig", rig, status=1)
-    armed = write_off(tmp_path / "armed.mcap", state=1)
-    assert "never off" in shell.fails("calibrate encoder --straight", armed, "--rig", rig, status=1)
-    short = write_off(tmp_path / "short.mcap", seconds=0.5)
-    assert "off for 0.5" in shell.fails("calibrate encoder --straight", short, "--rig", rig, status=1)
-    blind = write_off(tmp_path / "blind.mcap")
-    assert "--straight" in shell.fails("calibrate encoder", blind, "--rig", rig)
-    aslant = write_off(tmp_path / "aslant.mcap", readings=hanging(1.4))
-    assert "calibrate mount" in shell.fails("calibrate encoder", aslant, "--rig", rig, status=1)
-    (tmp_path / "r.csv").write_text("time_s\n")
-    assert "not a native run file" in shell.fails("calibrate encoder", tmp_path / "r.csv", "--rig", rig)
+    write_off(here / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
+    assert "the knee moved about 3.0 s" in shell.fails("calibrate encoder --straight moved.mcap --rig", rig, status=1)
+    write_off(here / "armed.mcap", state=1)
+    assert "never off" in shell.fails("calibrate encoder --straight armed.mcap --rig", rig, status=1)
+    write_off(here / "short.mcap", seconds=0.5)
+    assert "off for 0.5" in shell.fails("calibrate encoder --straight short.mcap --rig", rig, status=1)
+    write_off(here / "blind.mcap")
+    assert "--straight" in shell.fails("calibrate encoder blind.mcap --rig", rig)
+    write_off(here / "aslant.mcap", readings=hanging(1.4))
+    assert "calibrate mount" in shell.fails("calibrate encoder aslant.mcap --rig", rig, status=1)
+    (here / "r.csv").write_text("time_s\n")
+    assert "not a native run file" in shell.fails("calibrate encoder r.csv --rig", rig)
     assert rig.read_text() == RIG
 
 
@@ -179,24 +171,24 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
 
 # -- from the devices --------------------------------------------------------------------------------------------
 
-def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, shell: Shell,
+def test_zero_and_offset_from_the_devices_motor_off(here: Path, shell: Shell,
                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
         telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
-    path = tmp_path / "rig.toml"
+    path = here / "rig.toml"
     with PtyServer(mock.firmware, mock.clock) as port:
         path.write_text(RIG + f'\n[devices.controller]\nport = "{port.path}"\nrate_hz = 200\n')
-        shell("calibrate shunt --rig", path, "--seconds 1.5")
-        shell("calibrate encoder --straight --rig", path, "--seconds 1.2")
+        shell("calibrate shunt --rig rig.toml --seconds 1.5")
+        shell("calibrate encoder --straight --rig rig.toml --seconds 1.2")
         assert "motor off" in shell.out
 
         def nobody(question: str) -> str:
             raise EOFError
 
         monkeypatch.setattr("builtins.input", nobody)
-        assert "nobody answers" in shell.fails("calibrate encoder --rig", path)
+        assert "nobody answers" in shell.fails("calibrate encoder --rig rig.toml")
     found = load_rig(path).calibration
     assert found.shunt_offset_a == pytest.approx(0.031, abs=0.004)
     assert found.knee_zero_rad == pytest.approx(0.215, abs=1e-3)
     path.write_text(RIG)
-    assert "[devices.controller]" in shell.fails("calibrate shunt --rig", path)
+    assert "[devices.controller]" in shell.fails("calibrate shunt --rig rig.toml")

@@ -129,20 +129,20 @@ def test_a_motion_that_does_not_tell_the_lever_leaves_it_where_it_was() -> None:
         fitted(WIDE, 8.0)
 
 
-def test_the_command_writes_what_raw_readings_need(tmp_path: Path, shell: Shell) -> None:
+def test_the_command_writes_what_raw_readings_need(here: Path, shell: Shell) -> None:
     rng = np.random.default_rng(1)
     mount = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     t = np.arange(int(40 * IMU_HZ)) / IMU_HZ
     link = readings(WIDE, t) + 0.3 * NOISE * rng.standard_normal((t.size, 3))
     raw = np.column_stack([link[:, :1] * mount[2], link[:, 1:] @ mount[:2]])
     hall = encoder(WIDE, np.arange(40 * int(TELEMETRY_HZ)) / TELEMETRY_HZ, 4e-4)
-    path = write_off(tmp_path / "swing.mcap", 40.0, readings=raw, hall_rad=hall)
-    rig = tmp_path / "rig.toml"
+    path = write_off(here / "swing.mcap", 40.0, readings=raw, hall_rad=hall)
+    rig = here / "rig.toml"
     rig.write_text(RIG.replace("imu_mount = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", f"imu_mount = {mount.tolist()}"))
     kept = rig.read_text()
-    shell("calibrate imu-encoder", path, "--rig", rig, "--dry-run")
+    shell("calibrate imu-encoder swing.mcap --rig rig.toml --dry-run")
     assert rig.read_text() == kept
-    shell("calibrate imu-encoder", path, "--rig", rig)
+    shell("calibrate imu-encoder swing.mcap --rig rig.toml")
     out = shell.out
     assert "gyro_scale" in out and "# the gearbox" in rig.read_text()
     found = load_rig(rig)
@@ -156,8 +156,8 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, shell: Shell)
         assert abs(again[name].value) < max(again[name].half, 1e-3)
     check(again, **{name: (TRUTH[name], 3e-3) for name in ("accel_turn", "gyro_scale")})
 
-    bare = write_off(tmp_path / "bare.mcap", 3.0, readings=raw[:700])
-    assert "has no column q1_rad" in shell.fails("calibrate imu-encoder", bare, "--rig", rig)
+    write_off(here / "bare.mcap", 3.0, readings=raw[:700])
+    assert "has no column q1_rad" in shell.fails("calibrate imu-encoder bare.mcap --rig rig.toml")
 
 
 def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.prescribed import ARM_RIG, arm_run, written
-from tests.support.shell import Shell, typed
+from tests.support.shell import Shell, read_json, typed
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def test_a_model_of_one_run_is_not_judged_on_it_silently(folder: Path, shell: Sh
     diagnosed, fitted = folder / "d.json", folder / "f.json"
     command(folder, "diagnose", one, "--model-out", diagnosed, "--workers 1")
     command(folder, "fit", other, "--model-out", fitted)
-    provenance = json.loads(diagnosed.read_text())["provenance"]
+    provenance = read_json(diagnosed)["provenance"]
     assert provenance["runs"] == [one.name] == [run["file"] for run in provenance["origin"]["runs"]]
     shell.read()
     command(folder, "compare", diagnosed, fitted, one)
@@ -36,7 +36,7 @@ def test_a_published_model_has_no_covariance(folder: Path, shell: Shell) -> None
     one, other = sorted(folder.glob("*.csv"))
     fitted, published = folder / "f2.json", folder / "p.json"
     command(folder, "fit", one, "--model-out", fitted)
-    document = json.loads(fitted.read_text())
+    document = read_json(fitted)
     document["covariance"], document["ci95"] = None, []
     document["provenance"] |= {"runs": [], "origin": None}
     published.write_text(json.dumps(document))

@@ -60,7 +60,7 @@ def values(said: str) -> list[float]:
 
 def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for k in (1, 2, 3):
-        run = record(Leg(), np.random.default_rng(k), seconds=12.0)
+        run = record(Leg(), k, seconds=12.0)
         table = [run.time_s * 1000.0, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"] / PER_AMPERE]
         np.savetxt(tmp_path / f"log{k}.csv", np.column_stack(table), delimiter=";", comments="", fmt="%.5f",
                    header="time [ms];hip [deg];knee [deg];current [A]")
@@ -89,7 +89,7 @@ def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatc
 
 
 def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = record(Leg(), np.random.default_rng(9), seconds=12.0)
+    run = record(Leg(), 9, seconds=12.0)
     ros2_bag(run, tmp_path / "bag", StoragePlugin.MCAP)
     answers(monkeypatch, "leg2", "2", "9.81", "0.2", "none", "1", "none")
     typed("legid init rig.toml")

@@ -53,14 +53,14 @@ def test_two_outputs_in_one_place_are_refused(shell: Shell) -> None:
     assert "--json names too" in shell.fails(FIT, "--json x.json --model-out x.json")
 
 
-def test_an_output_of_the_same_kind_is_replaced(tmp_path: Path, shell: Shell) -> None:
-    path = tmp_path / "effects.json"
-    shell("effects --json", path)
+def test_an_output_of_the_same_kind_is_replaced(here: Path, shell: Shell) -> None:
+    path = here / "effects.json"
+    shell("effects --json effects.json")
     path.write_text(path.read_text()[:60] + "...")
-    shell("effects --json", path)
+    shell("effects --json effects.json")
     assert path.read_text().endswith("}\n")
     path.write_bytes(NOTES)
-    shell("effects --json", path, "--force")
+    shell("effects --json effects.json --force")
 
 
 def test_a_demo_replaces_no_run_but_its_own(tmp_path: Path, shell: Shell) -> None:

@@ -1,6 +1,5 @@
 """Results name the files behind them and what was missing of those; the rig comes from where it is known."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import pytest
 
 from experiments.provenance import commit, read_origin, source_of
 from tests.support.paths import DEMO_RIG as RIG
-from tests.support.shell import Shell, document, typed
+from tests.support.shell import Shell, document, read_json, typed
 
 
 @pytest.fixture(scope="module")
@@ -54,39 +53,39 @@ def test_every_other_document_says_what_it_was_made_from(command: str, read: set
 
 
 @pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
-def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "x.json").write_text(text)
-    assert "says nothing of the files" in shell.fails("verify", tmp_path / "x.json")
+def test_a_file_without_provenance_is_no_crash(text: str, here: Path, shell: Shell) -> None:
+    (here / "x.json").write_text(text)
+    assert "says nothing of the files" in shell.fails("verify x.json")
 
 
 def test_a_damaged_run_is_used_only_when_asked_for_and_the_documents_say_so(
-        folder: Path, tmp_path: Path, shell: Shell) -> None:
-    cut = tmp_path / "cut.mcap"
+        folder: Path, here: Path, shell: Shell) -> None:
+    cut = here / "cut.mcap"
     cut.write_bytes((folder / "run.mcap").read_bytes()[:-3000])
     for command in (["fit", cut, "--method wls"], ["diagnose", cut], ["validate", folder / "model.json", cut],
-                    ["export", cut, "--out", tmp_path / "cut.csv"]):
+                    ["export", cut, "--out", here / "cut.csv"]):
         shell(*command, status=2)
         error = shell.err.splitlines()[-1]
         assert "its end is missing" in error and "--damaged" in error
-    assert not (tmp_path / "cut.csv").exists()
-    shell("info", cut)
+    assert not (here / "cut.csv").exists()
+    shell("info cut.mcap")
     assert "DAMAGED: its end is missing" in shell.out
-    found = document("fit", cut, "--method wls --damaged --fix beta8=0 --model-out", tmp_path / "model.json")
+    found = document("fit cut.mcap --method wls --damaged --fix beta8=0 --model-out model.json")
     assert [d["run"] for d in found["damaged"]] == ["cut.mcap"]
-    assert json.loads((folder / "fit.json").read_text())["damaged"] == []
-    shell("recover", cut)
-    shell("export", tmp_path / "cut.recovered.mcap", "--out", tmp_path / "saved.csv")
+    assert read_json(folder / "fit.json")["damaged"] == []
+    shell("recover cut.mcap")
+    shell("export cut.recovered.mcap --out saved.csv")
 
 
 def test_the_rig_of_the_run_is_compared_with_the_one_given(
-        folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
-    other = tmp_path / "rig.toml"
+        folder: Path, here: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
+    other = here / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
-    shell("fit", folder / "run.mcap", "--method wls --rig", other)
+    shell("fit", folder / "run.mcap", "--method wls --rig rig.toml")
     said = shell.out
     assert "run.mcap was recorded with imu.lever_arm_m = 0.2" in said and "says 0.1" in said
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(folder / "run.mcap", tmp_path / "run.mcap")
+    monkeypatch.chdir(here)
+    shutil.copy(folder / "run.mcap", here / "run.mcap")
     shell("fit run.mcap --method wls")
     assert "rig: the one that run.mcap holds" in shell.err
     shell("validate", folder / "model.json", "none.csv --quiet", status=2)

@@ -10,20 +10,20 @@ from tests.support.shell import document
 RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 
 
-def test_every_document_has_the_faulty_readings(tmp_path: Path) -> None:
-    runs, rig, model = [], tmp_path / "rig.toml", tmp_path / "model.json"
+def test_every_document_has_the_faulty_readings(here: Path) -> None:
+    runs, rig = [], here / "rig.toml"
     for k in range(3):
         run = pendulum_run("r", k)
         run["q1_rad"][len(run) // 2] += 2.0 * (k == 1)
-        runs.append(table_of(run, tmp_path / f"r{k}.csv"))
+        runs.append(table_of(run, here / f"r{k}.csv"))
     rig.write_text(RIG)
     words = *runs, "--rig", rig
-    read = document("fit", *words, "--model-out", model)["readings"]
+    read = document("fit", *words, "--model-out model.json")["readings"]
     (fault,) = read
     assert (fault["run"], fault["column"], fault["what"], fault["done"]) == ("r1.csv", "q1_rad", "isolated", "left_out")
-    assert document("validate", model, *words)["readings"] == read
+    assert document("validate model.json", *words)["readings"] == read
     assert document("diagnose", *words, "--workers 1")["readings"] == read
     diagnosis = legid.diagnose(legid.load(runs, rig))
     assert diagnosis.document["readings"] == read
-    diagnosis.page(tmp_path / "d.html")
-    assert "off in one reading" in (tmp_path / "d.html").read_text() and len(repr(diagnosis)) < 400
+    diagnosis.page(here / "d.html")
+    assert "off in one reading" in (here / "d.html").read_text() and len(repr(diagnosis)) < 400

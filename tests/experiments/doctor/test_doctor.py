@@ -290,14 +290,14 @@ def test_can_interface(flags: str, state: str, bitrate: int, status: str, words:
     assert "no such interface" in link.can_interface("can7", {}).words
 
 
-def test_without_a_rig_file_the_usual_places_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_without_a_rig_file_the_usual_places_are_looked_at(here: Path, monkeypatch: pytest.MonkeyPatch,
                                                            shell: Shell) -> None:
     def nobody(device: ControllerDevice, rig: Rig | None) -> None:
         raise DeviceAbsent(f"leg controller on {device.port}: no such port")
 
     monkeypatch.setattr("experiments.rig.devices.connect", nobody)
     replace_bus(monkeypatch, lambda path: open_bus(path + "-nowhere"))
-    shell("doctor --out", tmp_path / "nowhere", status=1)
+    shell("doctor --out nowhere", status=1)
     found = lines(shell.out)
     assert failing(found) >= {"controller", "I2C bus", "disk space"}
     assert "/dev/ttyACM0" in found["controller"]

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import Dataset, InputError, load_rig
-from daq.rig import parse_rig
+from daq import Dataset, InputError, load_rig, parse_rig
 from daq.runs import commanded, is_contract_column, missing
 from experiments.exchange import guess_map, read_imported
 from tests.support.imported_files import table
@@ -65,18 +64,18 @@ def test_a_log_of_commands_goes_to_the_gain_in_four_commands(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_leg_s_knee_follows_a_command(sign: int, tmp_path: Path) -> None:
-    run = follow(random_leg(np.random.default_rng(61)), np.random.default_rng(62), gain=6.0)
-    file = table(tmp_path / "leg.csv", {
+def test_a_leg_s_knee_follows_a_command(sign: int, here: Path) -> None:
+    run = follow(random_leg(61), 62, gain=6.0)
+    file = table(here / "leg.csv", {
         "time": run.time_s, "hip_deg": run["q1_rad"] / DEGREE, "knee_deg": sign * run["q2_rad"] / DEGREE,
         "knee_cmd_deg": sign * run["q2_cmd_rad"] / DEGREE})
     found = guess_map(read_imported(file))
     assert set(found.columns) == {"time_s", "q1_rad", "q2_rad", "q2_cmd_rad"} and not found.unexplained
     assert [found.columns[name].sign for name in ("q2_rad", "q2_cmd_rad")] == [sign, sign]
     assert all(found.columns[name].unit == "deg" for name in ("q1_rad", "q2_rad", "q2_cmd_rad"))
-    typed("import", file, "--yes --out", tmp_path / "runs")
-    typed("init --from", tmp_path / "runs/leg.csv", tmp_path / "rig.toml")
-    rig = load_rig(tmp_path / "rig.toml")
+    typed("import leg.csv --yes --out runs")
+    typed("init --from runs/leg.csv rig.toml")
+    rig = load_rig(here / "rig.toml")
     assert (rig.mechanism.model, rig.mechanism.actuated) == ("leg2", (2,)) and rig.servo is not None
 
 

@@ -19,12 +19,12 @@ def files(tmp_path: Path) -> list[str]:
     return [str(path) for path in (*made, tmp_path / "other.csv")]
 
 
-def test_it_shows_each_file_and_the_command_that_imports(files: list[str], tmp_path: Path,
+def test_it_shows_each_file_and_the_command_that_imports(files: list[str], here: Path,
                                                          shell: Shell) -> None:
-    out = tmp_path / "runs"
-    shell("import", *files, "--out", out)
+    out = here / "runs"
+    shell("import", *files, "--out runs")
     said = shell.out
-    rows = {line.split()[0]: line.split() for line in said.splitlines() if line.startswith(str(tmp_path))}
+    rows = {line.split()[0]: line.split() for line in said.splitlines() if line.startswith(str(here))}
     assert rows[files[0]][1:5] == ["3000", "200", "15.0", "0.0"]
     assert "has no column 'pos'" in said and said.splitlines()[-1] == (
         f"then: legid import {' '.join(files)} --map {out / 'columns.toml'} --out {out}")
@@ -42,27 +42,27 @@ def test_the_command_that_it_names_works_next_to_the_logs(files: list[str], tmp_
 
 
 @pytest.mark.parametrize("answer, imported", [("y", True), ("n", False), ("", False)])
-def test_it_asks_a_person(answer: str, imported: bool, files: list[str], tmp_path: Path,
+def test_it_asks_a_person(answer: str, imported: bool, files: list[str], here: Path,
                           monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda question: answer)
-    typed("import", *files[:2], "--out", tmp_path / "runs")
-    assert sorted(p.name for p in (tmp_path / "runs").glob("*.csv")) == (["log0.csv", "log1.csv"] if imported else [])
+    typed("import", *files[:2], "--out runs")
+    assert sorted(p.name for p in (here / "runs").glob("*.csv")) == (["log0.csv", "log1.csv"] if imported else [])
 
 
-def test_yes_imports_and_can_be_repeated(files: list[str], tmp_path: Path) -> None:
+def test_yes_imports_and_can_be_repeated(files: list[str], here: Path) -> None:
     for _ in range(2):
-        typed("import", *files[:2], "--out", tmp_path / "runs", "--yes")
-    run = read_csv(tmp_path / "runs" / "log1.csv").columns
+        typed("import", *files[:2], "--out runs --yes")
+    run = read_csv(here / "runs" / "log1.csv").columns
     assert np.abs(run["q1_rad"]).max() == pytest.approx(1.6, abs=0.2) and run["q1_rad"].size == 3000
 
 
-def test_a_map_that_was_edited_is_used_without_a_question(files: list[str], tmp_path: Path,
+def test_a_map_that_was_edited_is_used_without_a_question(files: list[str], here: Path,
                                                           shell: Shell) -> None:
-    out = tmp_path / "runs"
+    out = here / "runs"
     out.mkdir()
     (out / "columns.toml").write_text('[columns.q1_rad]\nname = "pos"\n[columns.tau1_nm]\nname = "effort"\n'
                                       '[columns.time_s]\nname = "time"\n')
-    shell("import", files[0], "--out", out)
-    assert f"map: {out / 'columns.toml'}" in shell.out
+    shell("import", files[0], "--out runs")
+    assert "map: runs/columns.toml" in shell.out
     assert np.abs(read_csv(out / "log0.csv").columns["q1_rad"]).max() > 50.0  # as the map says: not in degrees

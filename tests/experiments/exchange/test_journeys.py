@@ -6,19 +6,14 @@ import numpy as np
 
 from experiments.judge import number
 from tests.support.imported_files import guess, table
+from tests.support.motions import pendulum
 from tests.support.shell import Shell, typed
 
 
 def swinging(rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) [s] and the angle (n,) [rad] of a pendulum that whirls slower and slower, then swings."""
     t = np.arange(0.0, 20.0, 1.0 / rate_hz)
-    q, v, found = 0.1, 9.0, []
-    for _ in t:
-        for _ in range(10):
-            v += (-10.0 * np.sin(q) - 0.15 * v) / rate_hz / 10.0
-            q += v / rate_hz / 10.0
-        found.append(q)
-    return t, np.array(found)
+    return t, pendulum(t, lambda _: 0.0, 0.1, 9.0, (0.15, 0.0), 10.0)
 
 
 def test_a_wrap_shows_the_unit_and_a_name_keeps_its_backslash(tmp_path: Path,
@@ -30,19 +25,19 @@ def test_a_wrap_shows_the_unit_and_a_name_keeps_its_backslash(tmp_path: Path,
     assert "'u' may drive a joint" in shell.err
 
 
-def test_steps_of_time_are_no_times(tmp_path: Path, shell: Shell) -> None:
+def test_steps_of_time_are_no_times(here: Path, shell: Shell) -> None:
     t, q = swinging(25.0)
     elapsed = 40.0 + np.random.default_rng(1).integers(-1, 2, t.size)
-    file = table(tmp_path / "a.csv", {"position": q, "elapsed": elapsed})
-    said = shell.fails("import", file, "--guess --map", tmp_path / "c.toml")
+    table(here / "a.csv", {"position": q, "elapsed": elapsed})
+    said = shell.fails("import a.csv --guess --map c.toml")
     assert "'elapsed' is the step from row to row, 40 in the median; give the rate by --rate HZ" in said
 
 
-def test_two_links_of_which_the_first_has_a_motor_are_a_chain(tmp_path: Path) -> None:
+def test_two_links_of_which_the_first_has_a_motor_are_a_chain(here: Path) -> None:
     t, q = swinging()
-    file = table(tmp_path / "a.csv", {"time_s": t, "q1_rad": q, "q2_rad": 0.1 * q, "tau1_nm": np.sin(t)})
-    typed("init", tmp_path / "rig.toml", "--from", file)
-    assert 'model = "chain"' in (tmp_path / "rig.toml").read_text()
+    table(here / "a.csv", {"time_s": t, "q1_rad": q, "q2_rad": 0.1 * q, "tau1_nm": np.sin(t)})
+    typed("init rig.toml --from a.csv")
+    assert 'model = "chain"' in (here / "rig.toml").read_text()
 
 
 def test_a_number_of_no_size_is_short() -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from daq import Dataset, InputError
 from daq.runs import read_csv
-from experiments.exchange import guess_map, read_imported, runs_in
-from experiments.exchange.column_map import apply_map
+from experiments.exchange import apply_map, guess_map, read_imported, runs_in
 from tests.support.imported_files import table
 from tests.support.public_layouts import SO101, bam, dynamixel, feetech, lerobot, trajectory_bag
 from tests.support.servo_joint import servo_run
@@ -57,35 +56,35 @@ def test_lerobot_s_episodes_are_runs_with_names_of_joints(v2: bool, tmp_path: Pa
 
 @pytest.mark.parametrize("scale, said", [(1.0, "do not say whether .pos is in degrees or in per cent"),
                                              (2.5, "so they are in degrees")])
-def test_what_lerobot_leaves_open_is_said(scale: float, said: str, tmp_path: Path,
+def test_what_lerobot_leaves_open_is_said(scale: float, said: str, here: Path,
                                           shell: Shell) -> None:
-    (path,) = lerobot(tmp_path / "set", [arm(3, scale=scale)], 25.0)
-    shell("import", path, "--joints shoulder_lift,elbow_flex,wrist_flex --yes --out", tmp_path / "runs")
+    (path,) = lerobot(here / "set", [arm(3, scale=scale)], 25.0)
+    shell("import", path, "--joints shoulder_lift,elbow_flex,wrist_flex --yes --out runs")
     told = shell.err
     assert said in told and "taken for a chain in one plane" in told
-    (tmp_path / "set/meta/info.json").write_text("[]")
+    (here / "set/meta/info.json").write_text("[]")
     with pytest.raises(InputError, match=r"info\.json: is no info"):
         read_imported(path)
 
 
 @pytest.mark.parametrize("load", ["observation.effort", "observation.current"])
-def test_a_load_of_lerobot_is_kept_and_its_unit_asked_for(load: str, tmp_path: Path,
+def test_a_load_of_lerobot_is_kept_and_its_unit_asked_for(load: str, here: Path,
                                                           shell: Shell) -> None:
     joints = arm(3)
-    (path,) = lerobot(tmp_path / "set", [joints], 25.0, load=load)
-    shell("import", path, "--joints wrist_flex,elbow_flex --yes --out", tmp_path / "r")
+    (path,) = lerobot(here / "set", [joints], 25.0, load=load)
+    shell("import", path, "--joints wrist_flex,elbow_flex --yes --out r")
     told = shell.err
     assert "do not say the unit of" in told and "kept as load1_raw, load2_raw" in told and "tau1_nm" in told
-    run = read_csv(tmp_path / "r/file-000.csv").columns
+    run = read_csv(here / "r/file-000.csv").columns
     elbow = joints[SO101.index("elbow_flex")]
     error = elbow["q1_cmd_rad"] - elbow["q1_rad"]
     assert run["load2_raw"] == pytest.approx(3.0 / DEGREE * error, abs=1e-3)
     assert "tau1_nm" not in run and run["q2_cmd_rad"] == pytest.approx(elbow["q1_cmd_rad"], abs=1e-5)
-    known = tmp_path / "columns.toml"
-    stated = (tmp_path / "r/columns.toml").read_text()
+    known = here / "columns.toml"
+    stated = (here / "r/columns.toml").read_text()
     known.write_text(stated.replace("[columns.load2_raw]", "[columns.tau2_nm]\nscale = 0.5"))
-    shell("import", path, "--map", known, "--out", tmp_path / "known")
-    torque = read_csv(tmp_path / "known/file-000.csv").columns["tau2_nm"]
+    shell("import", path, "--map columns.toml --out known")
+    torque = read_csv(here / "known/file-000.csv").columns["tau2_nm"]
     assert torque == pytest.approx(0.5 * run["load2_raw"], abs=1e-6)
 
 

@@ -54,7 +54,7 @@ def plan(folder: Path) -> np.ndarray:
 
 def test_the_true_leg_stays_within_the_limits(plan: np.ndarray) -> None:
     """The true leg is not the prior; the margin of a fifth is there for that."""
-    run = record(Leg(), np.random.default_rng(0), seconds=SECONDS, tau=plan, hold="zero", gyro=0.0)
+    run = record(Leg(), 0, seconds=SECONDS, tau=plan, hold="zero", gyro=0.0)
     assert np.abs(plan).max() <= 0.8 * 1.5
     limited = run["q1_rad"], run["q2_rad"], run["gyro_radps"], np.diff(run["q2_rad"]) * 100
     assert (np.array([np.abs(values).max() for values in limited]) < [1.0, 2.0, 12.0, 12.0]).all()
@@ -110,7 +110,7 @@ def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> 
     chirp = bench.sized(edges * np.sin(2 * np.pi * (0.1 * t + 4.9 * t**2 / (2 * SECONDS))), 0.8)
     fitted, predicted = [], []
     for tau in (chirp.torque_nm, plan):
-        run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")
+        run = record(Leg(), 7, seconds=SECONDS, tau=tau, hold="zero")
         fitted.append(fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="zero")).std)
         moved = bench.fine.move(tau)
         assert moved is not None

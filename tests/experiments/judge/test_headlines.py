@@ -15,8 +15,7 @@ from experiments.documents import FitDocument
 from experiments.judge import Headline, Trust, all_uses, fit_trust, with_fit_trust
 from experiments.judge.headline import counted
 from experiments.models import TrustValues
-from experiments.reports import fit_sections
-from experiments.reports.fit_text import whole_fit_text
+from experiments.reports import fit_sections, whole_fit_text
 from experiments.reports.html import render_page
 from tests.support.fits import document_of, synthetic_fit, with_slow_gyro
 

@@ -13,7 +13,7 @@ from experiments.cli.main import build_parser
 from experiments.documents import DiagnosisDocument
 from experiments.judge import Files, next_of_change, next_step, with_names
 from experiments.judge.next_steps import RECORD, SENSORS, variable_of
-from experiments.reports.diagnosis_text import diagnosis_text
+from experiments.reports import diagnosis_text
 from tests.support.diagnoses import synthetic
 
 

@@ -2,8 +2,6 @@
 
 import asyncio
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,8 @@ from experiments.live import children, started_demo_rig
 from experiments.live.bench import Bench
 from experiments.live.session import Phase, Session
 from experiments.workflows.executor import LocalExecutor
-from tests.support.paths import DEMO_RIG, ROOT
+from tests.support.paths import DEMO_RIG
+from tests.support.processes import ran
 
 NAMES = ("msgspec", "numpy", "pickle", "struct", "socket", "can", "nicegui", "mcap", "sitecustomize", "encodings",
          "multiprocessing", "concurrent", "selectors", "experiments", "daq", "drivers", "estimator", "legid")
@@ -58,9 +57,7 @@ def test_workers_neither(folder: Path) -> None:
     script = folder / "bin" / "script.py"
     script.parent.mkdir()
     script.write_text(code)
-    done = subprocess.run([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(ROOT)}, text=True,
-                          capture_output=True, check=True)
-    assert done.stdout == "[(0, 2.0), (1, 3.0)]\n"
+    assert ran(script, cwd=folder).stdout == "[(0, 2.0), (1, 3.0)]\n"
     assert not (folder / "ran").exists()
     assert sorted(LocalExecutor(2).run(halved, [4.0, 9.0])) == [(0, 2.0), (1, 4.5)]
     assert "PYTHONSAFEPATH" not in os.environ

@@ -17,11 +17,11 @@ from experiments.reports import (
     Section,
     axis_label,
     diagnosis_sections,
+    diagnosis_text,
     key_label,
     signature_limits,
     write_diagnosis,
 )
-from experiments.reports.diagnosis_text import diagnosis_text
 from experiments.reports.html import render_page, typeset
 from tests.support.diagnoses import synthetic
 from tests.support.pages import Outside, allowed_script

@@ -19,13 +19,13 @@ from experiments.reports import (
     Section,
     Table,
     fit_summary,
+    fit_text,
     picture_lines,
     plot_lines,
     truth_section,
     window,
 )
 from experiments.reports.chart import Band
-from experiments.reports.fit_text import fit_text
 from experiments.reports.html import fold, render_page, typeset
 from tests.support.fits import document_of, page_of, sections_of, synthetic_fit, text_of
 from tests.support.pages import Outside, allowed_script

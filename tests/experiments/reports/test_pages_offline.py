@@ -15,12 +15,12 @@ from experiments.documents import DiagnosisDocument
 from experiments.emulation import LegBody
 from experiments.excite import random_multisine
 from experiments.judge import estimates_of, model_of
-from experiments.models import save_model
-from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models import mechanism_settings, save_model
 from experiments.provenance import origin_of
 from experiments.reports import (
     BLUE,
     Line,
+    Picture,
     Section,
     Table,
     diagnosis_sections,
@@ -30,7 +30,6 @@ from experiments.reports import (
     write_diagnosis,
     write_page,
 )
-from experiments.reports.html import Picture
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
 from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from daq import InputError, parse_rig
@@ -27,7 +26,7 @@ lever_arm_m = 0.2
 
 @pytest.fixture(scope="module")
 def run(module_path: Path) -> Path:
-    return table_of(record(LEG, np.random.default_rng(3), seconds=10.0, amplitude=0.3, high=2.0),
+    return table_of(record(LEG, 3, seconds=10.0, amplitude=0.3, high=2.0),
                     module_path / "small.csv")
 
 
@@ -37,10 +36,10 @@ def rig_with(folder: Path, *entries: str) -> Path:
     return path
 
 
-def test_a_prior_is_said_first_and_everywhere(run: Path, tmp_path: Path, shell: Shell) -> None:
-    rig = rig_with(tmp_path, f"l1 = [{LEG.l1}, 0.003]", f"beta5 = [{LEG.beta()[4]}, 0.002]")
-    page, model = tmp_path / "fit.html", tmp_path / "model.json"
-    found = document("fit", run, "--rig", rig, "--html", page, "--model-out", model)
+def test_a_prior_is_said_first_and_everywhere(run: Path, here: Path, shell: Shell) -> None:
+    rig = rig_with(here, f"l1 = [{LEG.l1}, 0.003]", f"beta5 = [{LEG.beta()[4]}, 0.002]")
+    page, model = here / "fit.html", here / "model.json"
+    found = document("fit", run, "--rig", rig, "--html fit.html --model-out model.json")
     assert ("Maximum a posteriori: the fit used what [prior] says (l1 = 0.3 +- 0.003, beta5 = 0.12 +- 0.002)"
             in shell.out)
     assert [one["name"] for one in found["prior"]] == ["l1", "beta5"]

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from daq import Dataset, InputError, Rig, parse_rig
 from daq.runs import RawRun, read_run
 from daq.timing import align
 from experiments.emulation import LegBody, record_emulated
-from experiments.excite.multisine import random_multisine
+from experiments.excite import random_multisine
 from experiments.session import prepare
 from tests.support.paths import DEMO_RIG
 
@@ -28,11 +29,10 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
-def recorded(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> list[RawRun]:
-    paths = [tmp_path_factory.mktemp("recorded") / "run.mcap" for _ in range(2)]
-    for k, path in enumerate(paths):
-        record_emulated(path, rig, TEXT, random_multisine(40 + k, 10.0, 0.7), 40 + k)
-    return [replace(read_run(path), name=f"run{k}") for k, path in enumerate(paths)]
+def recorded(rig: Rig, module_path: Path) -> list[RawRun]:
+    for seed in (40, 41):
+        record_emulated(module_path / f"{seed}.mcap", rig, TEXT, random_multisine(seed, 10.0, 0.7), seed)
+    return [read_run(path) for path in sorted(module_path.glob("*.mcap"))]
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Runs of a servo that says what it was commanded and not what it gave: MuJoCo's leg, through `legid fit` as typed."""
+"""Runs of a servo that says what it was commanded and not what it gave: MuJoCo's leg through a fit."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 import legid
-from daq import Dataset, InputError
-from daq.rig import parse_rig
-from daq.runs.csv_run import write_csv
+from daq import Dataset, InputError, parse_rig
 from evidence.servos import Drawn, Hidden, draw, record
-from experiments.session.inputs import driven
-from experiments.session.runs import load_runs
+from experiments.session import driven, load_runs
+from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_joint import servo_run
 from tests.support.servo_leg import ServoFaults, follow
-from tests.support.shell import Shell, document
+from tests.support.shell import Shell, document, values
 
 GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
 RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
@@ -25,17 +23,13 @@ RIG = '[tolerance]\nnone = true\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n[s
 
 @pytest.fixture(scope="module")
 def leg() -> Leg:
-    return replace(random_leg(np.random.default_rng(51)), viscous=(0.01, 0.02), coulomb=(0.01, 0.03))
+    return replace(random_leg(51), viscous=(0.01, 0.02), coulomb=(0.01, 0.03))
 
 
-def fitted(folder: Path, runs: list[Dataset], servo: str, fixed: Leg | None = None) -> dict[str, Any]:
+def fitted(runs: list[Dataset], servo: str, fixed: Leg | None = None) -> dict[str, Any]:
     """The document of a fit under this [servo], with beta5 of a leg given."""
-    (folder / "rig.toml").write_text(RIG + servo)
-    paths = [folder / f"{run.name}.csv" for run in runs]
-    for run, path in zip(runs, paths):
-        write_csv(run, path)
-    options = [] if fixed is None else ["--fix", f"beta5={fixed.beta()[4]}"]
-    return document("fit", *paths, "--rig", folder / "rig.toml", *options)
+    given = {} if fixed is None else {"beta5": float(fixed.beta()[4])}
+    return legid.fit(runs, parse_rig(RIG + servo), fixed=given).document
 
 
 def followed(leg: Leg, seed: int, count: int = 3, **law: Any) -> list[Dataset]:
@@ -44,40 +38,38 @@ def followed(leg: Leg, seed: int, count: int = 3, **law: Any) -> list[Dataset]:
     return [follow(leg, rng, gain=GAIN, name=f"run{k}", **law) for k in range(count)]
 
 
-def values(told: dict[str, Any]) -> np.ndarray:
-    return np.array([p["value"] for p in told["parameters"]])
-
-
-def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, leg: Leg) -> None:
+def test_a_law_with_damping_and_a_limit_stands_for_the_torque(leg: Leg) -> None:
     runs = followed(leg, 52, damping=DAMPING, limit=LIMIT)
     error = runs[0]["q2_cmd_rad"] - runs[0]["q2_rad"]
     lost = np.abs(GAIN * error - DAMPING * np.gradient(runs[0]["q2_rad"], 0.01)) > LIMIT
     assert 0.05 < np.mean(lost) < 0.6  # the limit is met
-    told = fitted(tmp_path, runs, f"gain = {GAIN}\ndamping = {DAMPING}\nlimit = {LIMIT}\n")
+    told = fitted(runs, f"gain = {GAIN}\ndamping = {DAMPING}\nlimit = {LIMIT}\n")
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
     assert values(told)[[6, 8]] == pytest.approx(leg.beta()[[6, 8]], rel=0.2)
     assert told["servo_gain"] is None
 
 
-def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg) -> None:
-    runs = followed(leg, 53, 2)
-    told = fitted(tmp_path, runs, "", leg)
+def test_a_gain_is_found_by_one_parameter_that_is_given(here: Path, leg: Leg) -> None:
+    """As typed and in Python."""
+    runs, rig = followed(leg, 53, 2), here / "rig.toml"
+    rig.write_text(RIG)
+    paths = [table_of(run, here / f"{run.name}.csv") for run in runs]
+    told = document("fit", *paths, f"--rig rig.toml --fix beta5={leg.beta()[4]}")
     low, high = told["servo_gain"]["ci95"]
     assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
-    rig = tmp_path / "rig.toml"
-    typed = legid.fit(legid.load([tmp_path / f"{r.name}.csv" for r in runs], rig), rig, fixed={"beta5": leg.beta()[4]})
-    assert typed.document["servo_gain"] == told["servo_gain"]  # a number of numpy's is one, too
+    made = legid.fit(legid.load(paths, rig), rig, fixed={"beta5": leg.beta()[4]})  # a number of numpy's is one, too
+    assert made.document["servo_gain"] == told["servo_gain"]
     fixed, = (p for p in told["parameters"] if p["fixed"])
     assert (fixed["name"], fixed["value"], fixed["std"]) == ("beta5", pytest.approx(leg.beta()[4]), 0.0)
-    same = fitted(tmp_path, [replace(r, name=f"again{r.name}") for r in runs], f"gain = {GAIN}\n")
+    same = fitted(runs, f"gain = {GAIN}\n")
     assert values(same) == pytest.approx(values(told) * GAIN / told["servo_gain"]["value"], rel=1e-3)
 
 
 @pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\ndamping = {DAMPING}\n", False), ("", True)])
-def test_a_delay_that_nobody_states_is_found_and_taken_off(tmp_path: Path, leg: Leg, servo: str, fix: bool) -> None:
+def test_a_delay_that_nobody_states_is_found_and_taken_off(leg: Leg, servo: str, fix: bool) -> None:
     runs = followed(leg, 55, damping=DAMPING, faults=ServoFaults(delay_s=0.012))
-    told = fitted(tmp_path, runs, servo, leg if fix else None)
+    told = fitted(runs, servo, leg if fix else None)
     (chosen,) = (c for c in told["chosen"] if c["key"] == "delay_s")
     assert chosen["table"] == "servo" and chosen["value"] == pytest.approx(0.0122, abs=5e-4)
     assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.01)
@@ -89,10 +81,10 @@ def loop_of(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("servo, fix", [(f"gain = {GAIN}\n", False), ("", True)])
-def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(tmp_path: Path, leg: Leg, servo: str,
-                                                                            fix: bool) -> None:
+def test_limit_damping_integral_and_delay_are_found_where_nobody_states_them(leg: Leg, servo: str, fix: bool
+                                                                            ) -> None:
     runs = followed(leg, 55, damping=DAMPING, limit=LIMIT, faults=ServoFaults(delay_s=0.008, integral=2.0))
-    told = fitted(tmp_path, runs, servo, leg if fix else None)
+    told = fitted(runs, servo, leg if fix else None)
     found = loop_of(told)
     for key, truth, close in (("limit", LIMIT, 0.01), ("damping", DAMPING, 0.02), ("integral", 2.0, 0.01)):
         low, high = found[key]["ci95"]
@@ -145,9 +137,9 @@ def test_a_wrong_encoder_is_tried_in_place_of_a_disturbance() -> None:
     assert found["integral"]["found"] and found["integral"]["value"] == pytest.approx(3.275, rel=0.02)
 
 
-def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -> None:
+def test_what_the_runs_do_not_show_of_a_loop_is_said(leg: Leg) -> None:
     runs = followed(leg, 57, damping=DAMPING)
-    told = fitted(tmp_path, runs, f"gain = {GAIN}\n")
+    told = fitted(runs, f"gain = {GAIN}\n")
     found, said = loop_of(told), " ".join(told["assumptions"])
     low, high = found["integral"]["ci95"]
     assert not found["integral"]["found"] and low < 0.0 < high < 0.2
@@ -156,14 +148,14 @@ def test_what_the_runs_do_not_show_of_a_loop_is_said(tmp_path: Path, leg: Leg) -
     assert "beta7 has the damping of joint 2's loop in it" in said and "servo.damping states it" in said
     assert "meet no limit; servo.limit states it" in said and "servo.integral states it" in said
     assert values(told)[6] == pytest.approx(leg.beta()[6] + DAMPING, rel=0.05)
-    stated = fitted(tmp_path, runs, f"gain = {GAIN}\ndamping = {DAMPING}\nintegral = 0.0\nlimit = 20.0\n")
+    stated = fitted(runs, f"gain = {GAIN}\ndamping = {DAMPING}\nintegral = 0.0\nlimit = 20.0\n")
     assert not any("servo." in text and "states it" in text for text in stated["assumptions"])
 
 
-def test_filters_of_rate_and_command_are_taken_into_account(tmp_path: Path, leg: Leg) -> None:
+def test_filters_of_rate_and_command_are_taken_into_account(leg: Leg) -> None:
     runs = followed(leg, 58, damping=0.4, faults=ServoFaults(velocity_filter_s=0.01, command_filter_s=0.02))
     law = f"gain = {GAIN}\ndamping = 0.4\nintegral = 0.0\nlimit = 20.0\ndelay_s = 0.0\n"
-    known = fitted(tmp_path, runs, f"{law}velocity_filter_s = 0.01\ncommand_filter_s = 0.02\n")
+    known = fitted(runs, f"{law}velocity_filter_s = 0.01\ncommand_filter_s = 0.02\n")
     assert values(known)[:5] == pytest.approx(leg.beta()[:5], rel=0.02)
 
 
@@ -193,16 +185,14 @@ def test_a_diagnosis_under_the_command_names_the_cause_and_its_place(leg: Leg, s
     assert where in found.text()
 
 
-def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, shell: Shell) -> None:
-    run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
-    (tmp_path / "rig.toml").write_text(RIG)
-    write_csv(run, tmp_path / "run.csv")
-    said = shell.fails("fit", tmp_path / "run.csv", "--rig", tmp_path / "rig.toml", status=1)
+def test_what_is_lacking_is_named(here: Path, leg: Leg, shell: Shell) -> None:
+    run = follow(leg, 54, gain=GAIN, seconds=3.0)
+    (here / "rig.toml").write_text(RIG)
+    said = shell.fails("fit", table_of(run, here / "run.csv"), "--rig rig.toml", status=1)
     assert "give it as gain under [servo], or give one parameter" in said
     bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
-    write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):
-        load_runs([tmp_path / "bare.csv"], parse_rig(RIG))
+        load_runs([table_of(bare, here / "bare.csv")], parse_rig(RIG))
     for servo, what in (("damping = 0.1\n", "says nothing without servo.gain"),
                         ("gain = [1.0, 2.0]\n", r"servo\.gain has 2 numbers"), ("gain = -1.0\n", "gain")):
         with pytest.raises(InputError, match=what):

@@ -7,21 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.dataset import Dataset
-from estimator.model.mechanism import joint1
+from daq import Dataset
+from estimator.model import joint1
 from experiments.cli import main
 from tests.support.prescribed import SWING_RIG, swing_run, written
+from tests.support.runs import with_columns
 from tests.support.shell import Shell
 
 DEGREES, TURNS = 180.0 / np.pi, 0.5 / np.pi
-
-
-def with_torque(run: Dataset, torque: np.ndarray) -> Dataset:
-    return replace(run, columns={**run.columns, "tau1_nm": torque})
-
-
-def scaled(run: Dataset, factor: float) -> Dataset:
-    return replace(run, columns={**run.columns, "q1_rad": factor * run["q1_rad"]})
 
 
 def turning_run() -> Dataset:
@@ -40,7 +33,7 @@ def geared_run() -> Dataset:
     run = swing_run(viscous=0.5, coulomb=0.3)
     q = run["q1_rad"]
     more = np.gradient(np.gradient(q, 0.01), 0.01) * 0.4 - 0.27 * 9.81 * np.sin(q)
-    return with_torque(run, run["tau1_nm"] + more)
+    return with_columns(run, tau1_nm=run["tau1_nm"] + more)
 
 
 def fit_of(runs: list[Dataset], folder: Path, shell: Shell) -> tuple[int, str]:
@@ -62,13 +55,13 @@ def test_a_geared_joint_is_told_of_its_rotor_and_of_no_unit(tmp_path: Path, shel
 def test_a_unit_that_explains_the_torque_is_named(turns_on: bool, factor: float, unit: str, tmp_path: Path,
                                                   shell: Shell) -> None:
     run = turning_run() if turns_on else swing_run(viscous=0.02, coulomb=0.05, seconds=10.0)
-    _, said = fit_of([scaled(run, factor)], tmp_path, shell)
+    _, said = fit_of([with_columns(run, q1_rad=factor * run["q1_rad"])], tmp_path, shell)
     assert f'name = "q1_rad" and unit = "{unit}" under [columns.q1_rad]' in said
 
 
 def test_a_joint_that_turned_on_is_not_asked_for_its_unit(tmp_path: Path, shell: Shell) -> None:
     run = turning_run()
-    unexplained = with_torque(replace(run, name="noise.csv"), np.random.default_rng(3).normal(size=len(run)))
+    unexplained = with_columns(replace(run, name="noise.csv"), tau1_nm=np.random.default_rng(3).normal(size=len(run)))
     for one in (run, unexplained):
         _, said = fit_of([one], tmp_path, shell)
         assert "q1_rad swings" not in said and "unit = " not in said and "the columns cannot be right" not in said
@@ -76,8 +69,9 @@ def test_a_joint_that_turned_on_is_not_asked_for_its_unit(tmp_path: Path, shell:
 
 def test_an_angle_that_swings_too_far_in_any_unit_is_to_be_checked(tmp_path: Path,
                                                                    shell: Shell) -> None:
-    run = scaled(swing_run(viscous=0.02, seconds=10.0), 4096 * TURNS)
-    unexplained = with_torque(run, np.random.default_rng(3).normal(size=len(run)))
+    run = swing_run(viscous=0.02, seconds=10.0)
+    unexplained = with_columns(run, q1_rad=4096 * TURNS * run["q1_rad"],
+                               tau1_nm=np.random.default_rng(3).normal(size=len(run)))
     status, said = fit_of([unexplained], tmp_path, shell)
     assert status == 1 and "q1_rad swings over" in said and "check that it is the angle of this joint" in said
     assert "give its unit" not in said
@@ -91,7 +85,7 @@ def test_columns_that_are_right_are_not_to_be_checked(count: int, tmp_path: Path
     for k in range(count):
         run = replace(swing_run(viscous=0.2, coulomb=0.2, seed=3 + k), name=f"swing{k}.csv")
         pushed = -0.2 * np.gradient(np.gradient(run["q1_rad"], 0.01), 0.01)
-        runs.append(with_torque(run, run["tau1_nm"] + pushed))
+        runs.append(with_columns(run, tau1_nm=run["tau1_nm"] + pushed))
     status, said = fit_of(runs, tmp_path, shell)
     last = said.strip().splitlines()[-1]
     assert status == 1 and "no masses move like this" in last and "with --fix NAME=VALUE" in last

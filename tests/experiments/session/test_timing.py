@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import legid
 from daq import parse_rig
-from experiments.session import prepare
-from experiments.session.inputs import with_delay
+from experiments.session import prepare, with_delay
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record
 

@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import Dataset
-from daq.rig import parse_rig
+from daq import Dataset, parse_rig
 from estimator.fitting import next_measurement
 from estimator.fitting.next_measurement import INSTRUMENTS
 from experiments.cli import main
-from experiments.session.setup import Setup, setup_of
-from experiments.session.suspicion import suspect
+from experiments.session import Setup, setup_of, suspect
 from tests.support.fits import synthetic_fit
 from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.prescribed import negated
+from tests.support.runs import without
 from tests.support.shell import Shell
 
+READINGS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 IMU = LEG + "[imu]\nlever_arm_m = 0.2\n"
@@ -51,23 +52,21 @@ def test_one_sine_says_nothing_of_signs(frequency_hz: float, amplitude: float, n
 def test_a_leg_that_hardly_moves_says_nothing_of_signs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     run = record(random_leg(rng), rng, seconds=10.0, amplitude=0.1, high=0.3)
-    imu = replace(run, columns={name: x for name, x in run.columns.items() if name != "q1_rad"})
-    encoders = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad", "tau2_nm")})
+    imu, encoders = without(run, "q1_rad"), without(run, *READINGS)
     assert told(setup_of([imu], parse_rig(IMU))) == told(setup_of([encoders], parse_rig(LEG))) == ()
 
 
 def test_a_sign_that_is_wrong_is_still_named() -> None:
     rng = np.random.default_rng(5)
     run = record(Leg(), rng, seconds=10.0)
-    columns = {"q1_rad": run["q1_rad"], "q2_rad": run["q2_rad"], "tau2_nm": -run["tau2_nm"]}
-    assert told(setup_of([replace(run, columns=columns)], parse_rig(LEG)))[0].startswith("tau2_nm looks negated")
+    turned = without(negated(run, "tau2_nm"), *READINGS)
+    assert told(setup_of([turned], parse_rig(LEG)))[0].startswith("tau2_nm looks negated")
 
 
 def test_a_fit_of_little_motion_asks_for_motion(tmp_path: Path, shell: Shell) -> None:
     """It ended as "a mass that is not positive", with segments that disagree by numbers of ninety digits."""
-    run = record(Leg(), np.random.default_rng(4), seconds=10.0, amplitude=0.08, high=1.0)
-    seen = {name: x for name, x in run.columns.items() if name != "q1_rad"}
-    file = table_of(replace(run, columns=seen), tmp_path / "weak.csv")
+    run = record(Leg(), 4, seconds=10.0, amplitude=0.08, high=1.0)
+    file = table_of(without(run, "q1_rad"), tmp_path / "weak.csv")
     (tmp_path / "rig.toml").write_text(IMU)
     status = main(["fit", str(file), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")])
     said = shell.read()

@@ -69,16 +69,15 @@ def test_report_tells_what_was_hidden(demo: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, shell: Shell) -> None:
-    model, page = tmp_path / "m.json", tmp_path / "v.html"
-    found = document("fit", demo / "demo-run1.mcap", "--rig", demo / "rig.toml", "--model-out", model, "--html",
-                     tmp_path / "f.html", "--fix beta9=0.04")
+def test_fit_and_validate_work_on_its_files(demo: Path, here: Path, shell: Shell) -> None:
+    found = document("fit", demo / "demo-run1.mcap", "--rig", demo / "rig.toml",
+                     "--model-out m.json --html f.html --fix beta9=0.04")
     assert "given" in shell.out
     rows = {p["name"]: p for p in found["parameters"]}
     assert rows["beta9"]["value"] == 0.04 and rows["beta9"]["fixed"]
-    found = document("validate", model, demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--html", page)
+    found = document("validate m.json", demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--html v.html")
     assert found["schema"] == "legid.validation/1"
-    assert "demo-run3.mcap" in page.read_text()
+    assert "demo-run3.mcap" in (here / "v.html").read_text()
 
 
 def test_the_plan_is_drawn_from_the_seed() -> None:

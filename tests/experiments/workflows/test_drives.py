@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import InputError, WorkError, parse_rig
+from daq import InputError, WorkError, load_rig, parse_rig
 from daq.recording import write_plan
 from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
@@ -23,20 +23,19 @@ def rig_text(kind: str) -> str:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp_path: Path, shell: Shell) -> None:
-    rig, run = tmp_path / "rig.toml", tmp_path / "r.mcap"
-    shell(*words(tmp_path, rig_text(kind), "--emulate", seconds=6.0))
-    shell("info", run)
+def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, here: Path, shell: Shell) -> None:
+    shell(*words(here, rig_text(kind), "--emulate", seconds=6.0))
+    shell("info r.mcap")
     said = shell.out
     assert "samples lie between request and answer" in said and "jitters by" in said
-    data = load_any_run(run, parse_rig(rig.read_text()))
+    rig = load_rig(here / "rig.toml")
+    data = load_any_run(here / "r.mcap", rig)
     assert data.clock_bound_s is not None and 2e-4 < data.clock_bound_s < 2e-3
-    found = values(document("fit", run, "--rig", rig))
+    found = values(document("fit r.mcap --rig rig.toml"))
     assert np.abs(found / LegBody().beta() - 1.0)[:5].max() < 0.01
-    again = tmp_path / "again.mcap"
-    shell("record --replay", run, "--out", again)
+    shell("record --replay r.mcap --out again.mcap")
     assert "by the limits" not in shell.out
-    played = load_any_run(again, parse_rig(rig.read_text()))
+    played = load_any_run(here / "again.mcap", rig)
     assert np.nanmax(np.abs(played["q2_rad"] - data["q2_rad"])) < 1e-6  # played back in our own frames, in urad
     assert played.clock_bound_s == data.clock_bound_s
 

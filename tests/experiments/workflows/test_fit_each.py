@@ -27,7 +27,7 @@ def rig(module_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def runs(module_path: Path) -> list[Path]:
-    return [table_of(record(Leg(), np.random.default_rng(k), seconds=6.0), module_path / f"r{k}.csv")
+    return [table_of(record(Leg(), k, seconds=6.0), module_path / f"r{k}.csv")
             for k in range(3)]
 
 
@@ -38,13 +38,13 @@ def test_each_run_gets_its_own_fit_in_order(runs: list[Path], rig: Path, shell: 
     assert "r2.csv" in shell.out
 
 
-def test_one_bad_file_does_not_stop_the_others(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell) -> None:
-    bad = tmp_path / "bad.csv"
+def test_one_bad_file_does_not_stop_the_others(runs: list[Path], rig: Path, here: Path, shell: Shell) -> None:
+    bad = here / "bad.csv"
     bad.write_text("time_s,q2_rad\n0,x\n")
-    shell("fit --each", bad, runs[0], "--rig", rig, "--workers 1", status=2)
+    shell("fit --each bad.csv", runs[0], "--rig", rig, "--workers 1", status=2)
     out = shell.out
     assert "not fitted" in out and "r0.csv" in out
 
 
-def test_each_makes_no_model(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell) -> None:
-    assert "--each" in shell.fails("fit --each", runs[0], "--rig", rig, "--model-out", tmp_path / "m.json")
+def test_each_makes_no_model(runs: list[Path], rig: Path, here: Path, shell: Shell) -> None:
+    assert "--each" in shell.fails("fit --each", runs[0], "--rig", rig, "--model-out m.json")

@@ -21,7 +21,7 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = {}\n'
 
 @pytest.fixture(scope="module")
 def leg() -> Leg:
-    return replace(random_leg(np.random.default_rng(77)), viscous=(0.002, 0.0015), coulomb=(0.01, 0.004))
+    return replace(random_leg(77), viscous=(0.002, 0.0015), coulomb=(0.01, 0.004))
 
 
 def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2, seed: int = 78,

@@ -16,7 +16,7 @@ RANGE_A = 0.5
 
 
 @pytest.mark.parametrize("clipped", [False, True])
-def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, here: Path, monkeypatch: pytest.MonkeyPatch,
                                                          shell: Shell) -> None:
     whole = FirmwareEmulator._telemetry
 
@@ -25,14 +25,13 @@ def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, tmp_path
         return replace(frame, current_a=float(np.clip(frame.current_a, -RANGE_A, RANGE_A))) if clipped else frame
 
     monkeypatch.setattr(FirmwareEmulator, "_telemetry", within)
-    rig, plan, run = tmp_path / "rig.toml", tmp_path / "plan.csv", tmp_path / "run.mcap"
     # else the supervisor stops the motor
-    rig.write_text(DEMO_RIG.read_text().replace("[limits]", "[limits]\ntorque_band_nm = 0.6"))
-    write_plan(random_multisine(7, 4.0, 0.6), plan)
-    shell("record --rig", rig, "--plan", plan, "--out", run, "--emulate")
+    (here / "rig.toml").write_text(DEMO_RIG.read_text().replace("[limits]", "[limits]\ntorque_band_nm = 0.6"))
+    write_plan(random_multisine(7, 4.0, 0.6), here / "plan.csv")
+    shell("record --rig rig.toml --plan plan.csv --out run.mcap --emulate")
     told = "tau2_nm stands at exactly"
     assert (told in shell.err) == clipped
-    for command, fault in ((("info", run), told), (("runs", tmp_path), "faulty readings"),
-                           (("fit", run, "--rig", rig), told)):
-        shell(*command)
+    for command, fault in (("info run.mcap", told), ("runs .", "faulty readings"),
+                           ("fit run.mcap --rig rig.toml", told)):
+        shell(command)
         assert (fault in shell.out) == clipped

@@ -37,7 +37,7 @@ def test_a_file_is_the_model_that_was_exported(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def runs() -> list[Dataset]:
-    return [record(TRUE, np.random.default_rng(seed), seconds=10.0, amplitude=0.6, name=f"r{seed}") for seed in (1, 2)]
+    return [record(TRUE, seed, seconds=10.0, amplitude=0.6, name=f"r{seed}") for seed in (1, 2)]
 
 
 def test_wrong_parameters_of_a_file_are_named(runs: list[Dataset], tmp_path: Path) -> None:

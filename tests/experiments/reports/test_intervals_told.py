@@ -1,17 +1,19 @@
-"""The budget of a fit as a line, a table, JSON, a page and part of MODEL.json, and what the first line says of it."""
+"""What a budget, runs that disagree and a second estimator say of a fit: first line, text, JSON, page, MODEL.json."""
 
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from daq import InputError, parse_rig
-from estimator import FitResult
+from estimator import FitResult, RunAgreement
 from estimator.fitting import next_measurement
+from estimator.methods import ResultMethod
 from estimator.model import leg2
-from estimator.result import Budget, BudgetPart
+from estimator.result import Budget, BudgetPart, HeldOut, SecondOpinion
 from experiments.judge import Trust, fit_trust, model_of, with_fit_trust
 from experiments.models import MechanismSettings, fitted_model_of, load_model, save_model
 from experiments.rig import RigFacts
@@ -128,3 +130,116 @@ def test_a_value_that_is_not_known_has_no_share_above_the_whole() -> None:
     line = document_of(with_part("encoder_offset@1", 14.0)).precision
     assert line.startswith("beta1 is not known: its interval is wider than its value")
     assert "%" not in line
+
+
+RUNS = ("a.csv", "b.csv", "c.csv")
+
+
+def with_runs(**more: Any) -> FitResult:
+    plain = synthetic_fit()
+    return replace(plain, agreement=RunAgreement(**{"runs": RUNS, "p_value": 0.3, "own_std": plain.std, **more}))
+
+
+@pytest.fixture
+def disputed() -> FitResult:
+    """The knee's Coulomb level is another in the third run."""
+    plain = synthetic_fit()
+    by_run = np.tile(plain.beta, (3, 1))
+    by_run[:, 8] = 0.10, 0.11, 0.14
+    seen = np.arange(plain.mechanism.p) == 8
+    return with_runs(p_value=2e-5, disagree=True, quantile=np.where(seen, 4.303, 1.959964), mean=by_run.mean(axis=0),
+                     scatter=np.where(seen, 0.021, 1e-6), by_run=by_run, seen=seen)
+
+
+def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> None:
+    text = text_of(disputed)
+    assert ("3 runs disagree by more than their noise (p = 2e-05): intervals allow for it, 2.2 times as wide as by "
+            "noise alone\nruns disagree about beta9 (Coulomb friction, knee): 0.100 .. 0.140, scatter 0.021 about "
+            "0.117; interval widened 2.2 times") in text
+    low, high = disputed.ci95()[8]
+    assert high - low == pytest.approx(2 * 4.303 * disputed.std[8])
+
+
+def test_runs_that_agree_and_one_alone_say_so() -> None:
+    assert "3 runs agree within their noise (p = 0.3)" in text_of(with_runs())
+    assert "one run gives no scatter between runs" in text_of(with_runs(p_value=None, runs=RUNS[:1]))
+    assert "runs" not in text_of(synthetic_fit()).replace("ran ", "")
+
+
+def test_the_json_says_what_each_run_says(disputed: FitResult) -> None:
+    found = document_of(disputed).document["agreement"]
+    assert found["runs"] == list(RUNS) and found["disagree"] and found["p_value"] == 2e-5
+    knee = found["parameters"][8]
+    assert knee["name"] == "beta9" and knee["by_run"] == [0.10, 0.11, 0.14] and knee["seen"]
+    assert knee["widened"] == pytest.approx(4.303 / 1.959964)
+    given = replace(disputed, fixed={"beta9": 0.1})
+    assert "beta9" not in [p["name"] for p in document_of(given).document["agreement"]["parameters"]]
+    assert document_of(with_runs()).document["agreement"]["parameters"] == []
+    assert document_of(synthetic_fit()).document["agreement"] is None
+
+
+def test_the_page_has_a_column_for_each_run(disputed: FitResult) -> None:
+    page = page_of(disputed)
+    assert "Do the runs agree?" in page and all(run in page for run in RUNS)
+    assert "Do the runs agree?" not in page_of(synthetic_fit())
+
+
+def test_the_first_line_is_careful_where_runs_disagree(disputed: FitResult) -> None:
+    assert fit_trust(with_runs()).level == "good"
+    trust = fit_trust(disputed)
+    assert trust.level == "good" and "Runs disagree about beta9; the intervals allow for it." in trust.reasons
+
+
+def with_opinion(times: float, held_out: HeldOut | None = None, reported: ResultMethod = "mle") -> FitResult:
+    """A fit whose beta2 lies so many half widths from another method's; beta9 is not compared."""
+    plain = synthetic_fit()
+    half = 1.5 * plain.half_width
+    apart = np.zeros(plain.mechanism.p)
+    apart[1], apart[8] = times, np.nan
+    other = plain.beta.copy()
+    other[1] += times * np.hypot(half[1], plain.half_width[1])
+    method: ResultMethod = "shooting" if reported == "mle" else "mle"
+    return replace(plain, method=reported, second_opinion=SecondOpinion(method, other, half, apart, held_out))
+
+
+def test_estimators_that_agree_take_a_line_and_no_warning() -> None:
+    found = with_opinion(1.23)
+    assert fit_trust(found).sentence == fit_trust(replace(found, second_opinion=None)).sentence
+    assert ("second opinion, by multiple shooting: largest disagreement 1.2 half widths, in beta2; not compared: beta9"
+            in text_of(found).splitlines())
+
+
+@pytest.mark.parametrize(("held_out", "told"), [
+    (None, "too little data to let held-out data decide"),
+    (HeldOut(0.1, (-0.2, 0.3), 40), "held-out seconds do not decide (shooting's error is 10 % lower [-20, 30])"),
+    (HeldOut(-0.5, (-0.7, -0.3), 40), "shooting's error on held-out seconds is 50 % higher [30, 70]")])
+def test_the_first_line_says_that_mle_is_contradicted(held_out: HeldOut | None, told: str) -> None:
+    trust = fit_trust(with_opinion(4.5, held_out))
+    assert trust.level == "bad"
+    assert trust.sentence == "DO NOT TRUST the parameters: two estimators disagree."
+    assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
+    assert "4.5 half widths apart" in trust.reasons[0] and told in trust.reasons[0]
+
+
+def test_the_first_line_says_that_shooting_is_reported() -> None:
+    found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
+    trust = fit_trust(found)
+    assert (trust.level, trust.sentence) == ("bad", "DO NOT TRUST the parameters: two estimators disagree.")
+    assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
+    assert "by maximum likelihood, 36.0 half widths apart" in trust.reasons[0]
+    assert trust.reasons[0].endswith("shooting is reported, its error on held-out seconds is 60 % lower [40, 70].")
+
+
+def test_json_and_page_have_both_estimates() -> None:
+    found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
+    document = document_of(found).document
+    opinion = document["second_opinion"]
+    assert (document["method"], opinion["method"], opinion["reported"]) == ("shooting", "mle", "shooting")
+    assert opinion["disagreement"] == 36.0 and opinion["not_compared"] == ["beta9"]
+    assert opinion["held_out"] == {"gain": 0.6, "ci95": [0.4, 0.7], "segments": 40}
+    row = opinion["parameters"][1]
+    assert row["name"] == "beta2" and row["disagreement"] == 36.0 and len(opinion["parameters"]) == 8
+    assert found.second_opinion is not None and row["value"] == found.second_opinion.beta[1]
+    assert document_of(synthetic_fit()).document["second_opinion"] is None
+    page = page_of(found)
+    assert "Second opinion" in page and "maximum likelihood" in page
