@@ -92,7 +92,7 @@ def test_exports_are_the_commands(log: Path, tmp_path: Path) -> None:
         assert (tmp_path / name).read_text() == (tmp_path / f"typed-{name}").read_text() and notes
     legid.export(model, tmp_path / "leg", "mujoco", starts=run)
     assert {path.name for path in (tmp_path / "leg").iterdir()} == {"leg.xml", "leg.py"}
-    assert "<key" in (tmp_path / "leg" / "leg.xml").read_text()
+    assert "<key" in (tmp_path / "leg/leg.xml").read_text()
     legid.export(run, tmp_path / "run.parquet")
     again = legid.load(tmp_path / "run.parquet", log.parent / "rig.toml")
     np.testing.assert_array_equal(again["q2_rad"], run["q2_rad"])

@@ -10,7 +10,7 @@ BEGIN_NS = 1_700_000_000_000_000_000
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
-def made(kind: str, *fields: object) -> Any:
+def made(kind: str, *fields: Any) -> Any:
     """A message, or a part of one: `sensor_msgs/JointState` and its fields."""
     return STORE.types[kind.replace("/", "/msg/")](*fields)
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from experiments import cli
+
+Answers = Callable[..., list[str]]
 
 
 def typed(*words: object, status: int = 0) -> None:

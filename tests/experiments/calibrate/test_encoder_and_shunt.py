@@ -14,7 +14,7 @@ from experiments.emulation.plant import LegPlant
 from tests.support.models import LEG, write_model
 from tests.support.motor_off_runs import RIG, TELEMETRY_HZ, hanging, write_off
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Answers, Shell
 from tests.support.still_plant import StillPlant, StillState
 
 pytestmark = REAL_CLOCK
@@ -65,14 +65,13 @@ def test_a_known_cone_bounds_the_zero_and_is_contradicted_by_stops_too_far_apart
     found = hanging_zero([stop(0.31), stop(0.27)], 0.03)
     assert (found.value, found.half) == pytest.approx((0.29, 0.01), abs=1e-4)  # 0.31 - 0.03 .. 0.27 + 0.03
     assert friction_cone(0.05, 0.1, G) == pytest.approx(np.arcsin(0.05 / 0.981))
-    with pytest.raises(WorkError, match="sticks more than it slides"):
-        hanging_zero([stop(0.34), stop(0.27)], 0.03)
     with pytest.raises(WorkError, match="at any angle"):
         friction_cone(1.2, 0.1, G)
-    with pytest.raises(WorkError, match="3 stops and no known friction"):
-        hanging_zero([stop(v) for v in (0.3, 0.31, 0.29)], None)
-    with pytest.raises(WorkError, match="too uncertain to use"):
-        hanging_zero([stop(v) for v in (0.0, 0.2, 0.1, 0.4)], None)
+    for values, cone, said in (((0.34, 0.27), 0.03, "sticks more than it slides"),
+                               ((0.3, 0.31, 0.29), None, "3 stops and no known friction"),
+                               ((0.0, 0.2, 0.1, 0.4), None, "too uncertain to use")):
+        with pytest.raises(WorkError, match=said):
+            hanging_zero([stop(value) for value in values], cone)
 
 
 def test_a_leg_held_straight_three_times_shows_how_well_it_is_held() -> None:
@@ -172,7 +171,7 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
 # -- from the devices --------------------------------------------------------------------------------------------
 
 def test_zero_and_offset_from_the_devices_motor_off(here: Path, shell: Shell,
-                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+                                                    answers: Answers) -> None:
     mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
         telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
     path = here / "rig.toml"
@@ -181,11 +180,7 @@ def test_zero_and_offset_from_the_devices_motor_off(here: Path, shell: Shell,
         shell("calibrate shunt --rig rig.toml --seconds 1.5")
         shell("calibrate encoder --straight --rig rig.toml --seconds 1.2")
         assert "motor off" in shell.out
-
-        def nobody(question: str) -> str:
-            raise EOFError
-
-        monkeypatch.setattr("builtins.input", nobody)
+        answers()
         assert "nobody answers" in shell.fails("calibrate encoder --rig rig.toml")
     found = load_rig(path).calibration
     assert found.shunt_offset_a == pytest.approx(0.031, abs=0.004)

@@ -18,7 +18,7 @@ from tests.support.shell import Shell
 
 G = 9.81
 RATE = 100.0
-RECORD = REAL / "song_imu" / "pitch_medium_120s.csv.gz"
+RECORD = REAL / "song_imu/pitch_medium_120s.csv.gz"
 TRUTH = {"gyro_bias": 0.02, "gyro_scale": -0.015, "gyro_late": 0.0042, "accel_bias_x": 0.15, "accel_bias_y": -0.08,
          "accel_scale_x": 0.02, "accel_scale_y": -0.01, "accel_skew": 0.006, "accel_turn": 0.012, "lever_arm": 0.21,
          "side_offset": 0.004, "accel_late": 0.0028}

@@ -41,6 +41,11 @@ def model_file(module_path: Path) -> Path:
     return path
 
 
+def plan_file(folder: Path, torque_nm: np.ndarray) -> None:
+    """A second of these torques."""
+    write_plan(Plan(np.arange(100) / 100.0, torque_nm), folder / "plan.csv")
+
+
 # -- help and arguments ------------------------------------------------------------------------------------
 
 
@@ -83,10 +88,9 @@ def test_bad_arguments(args: str, shell: Shell) -> None:
     "validate none.json none.csv --rig none.toml", "simulate none.json --plan none.csv --out x",
     "fit none.csv --rig none.toml", "record --rig none.toml --plan none.csv --out x.mcap",
     "diagnose none.csv --rig none.toml"])
-def test_missing_files_are_named(args: str, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_missing_files_are_named(args: str, shell: Shell, here: Path) -> None:
     assert "none." in shell.fails(args)
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize("error", [FitError("cannot\nbe fitted"), WorkError("tripped"), LinkLost("gone"),
@@ -177,8 +181,8 @@ def test_output_that_cannot_be_written(demo_run: Path, here: Path, shell: Shell)
 
 
 def test_start_must_fit_the_mechanism(model_file: Path, here: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), here / "p.csv")
-    assert "--start" in shell.fails("simulate", model_file, "--plan p.csv --start 1,2,3 --out r.csv")
+    plan_file(here, np.zeros(100))
+    assert "--start" in shell.fails("simulate", model_file, "--plan plan.csv --start 1,2,3 --out r.csv")
 
 
 # -- recording ---------------------------------------------------------------------------------------------
@@ -199,8 +203,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
-    t = np.arange(100) / 100.0
-    write_plan(Plan(t, 0.2 * np.sin(2 * np.pi * t)), bench / "plan.csv")
+    plan_file(bench, 0.2 * np.sin(2 * np.pi * np.arange(100) / 100.0))
     args = "record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap"
     shell(*args)
     assert "torque commands" in shell.out
@@ -211,13 +214,13 @@ def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
 
 
 def test_record_refuses_a_plan_beyond_the_limits(bench: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.full(100, 9.0)), bench / "plan.csv")
+    plan_file(bench, np.full(100, 9.0))
     line = shell.fails("record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap")
     assert "9 N m" in line
 
 
 def test_record_without_devices_says_what_is_missing(here: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), here / "p.csv")
+    plan_file(here, np.zeros(100))
     absent = here / "rig.toml"
     absent.write_text(RIG.read_text().replace("/dev/ttyACM0", "/dev/no-such-port"))
     args = ("--plan p.csv --out r.mcap",)

@@ -26,8 +26,7 @@ OUTPUTS = [
 
 @pytest.mark.parametrize("command", OUTPUTS, ids=lambda c: f"{c.split()[0]} {c.split()[-1]}")
 def test_no_command_destroys_a_run_or_unasked_another_file(
-        command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
-    monkeypatch.chdir(tmp_path)
+        command: str, here: Path, shell: Shell) -> None:
     target = Path("target")
     forced = [] if command.startswith("rec") else ["--force"]
     target.write_bytes(RUN)

@@ -98,5 +98,5 @@ def test_one_column_at_a_known_rate_is_a_run(head: str, here: Path) -> None:
     (here / "swing.txt").write_text(head + "".join(f"{a:.5f}\n" for a in angle))
     (here / "m.toml").write_text(f'[columns.q1_rad]\nname = "{head.strip() or "column 1"}"\n')
     typed("import swing.txt --map m.toml --rate 250 --out out")
-    run = rows_of(here / "out" / "swing.csv")
+    run = rows_of(here / "out/swing.csv")
     assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)

@@ -53,11 +53,10 @@ def test_a_pickle_is_refused_with_what_to_save(command: str, name: str, program:
     assert f"{name}: is a {program} file" in said and "save its columns as CSV, Parquet or .npz" in said
 
 
-def test_what_the_page_saves_from_a_pickle_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_page_saves_from_a_pickle_is_read(here: Path) -> None:
     """The lines of docs/exchange.md."""
-    monkeypatch.chdir(tmp_path)
     Path("log.pkl").write_bytes(pickle.dumps(COLUMNS))
-    page = (ROOT / "docs" / "exchange.md").read_text()
+    page = (ROOT / "docs/exchange.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(code, {})
     for name in ("log.npz", "log.csv"):

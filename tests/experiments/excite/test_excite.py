@@ -195,7 +195,7 @@ def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path, she
     said = shell.out
     assert "fast: high frequencies, 3 to 8 Hz; for torque_delay, sensor_time_skew" in said
     assert "by hand: sensor_time_skew: tap the leg" in said and "fewer than 16 runs" in said
-    slow = read_plan(folder / "next" / "02-slow.csv").torque_nm
+    slow = read_plan(folder / "next/02-slow.csv").torque_nm
     power = np.abs(np.fft.rfft(slow)) ** 2
     assert power[np.fft.rfftfreq(slow.size, 1 / RATE_HZ) < 0.6].sum() > 0.9 * power.sum()
 

@@ -19,14 +19,13 @@ NAMES = ("msgspec", "numpy", "pickle", "struct", "socket", "can", "nicegui", "mc
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(here: Path) -> Path:
     """The current folder, full of modules that leave a mark when they are imported."""
     for name in NAMES:
-        for path in (tmp_path / f"{name}.py", tmp_path / name / "__init__.py"):
+        for path in (here / f"{name}.py", here / name / "__init__.py"):
             path.parent.mkdir(exist_ok=True)
-            path.write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write(__name__)\n")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+            path.write_text(f"open({str(here / 'ran')!r}, 'a').write(__name__)\n")
+    return here
 
 
 def halved(x: float) -> float:
@@ -54,7 +53,7 @@ def test_workers_neither(folder: Path) -> None:
     """As of the command `legid`, whose first place to look in is the folder of the command itself."""
     code = ("from experiments.workflows.executor import LocalExecutor; from math import sqrt\n"
             "if __name__ == '__main__': print(sorted(LocalExecutor(2).run(sqrt, [4.0, 9.0])))")
-    script = folder / "bin" / "script.py"
+    script = folder / "bin/script.py"
     script.parent.mkdir()
     script.write_text(code)
     assert ran(script, cwd=folder).stdout == "[(0, 2.0), (1, 3.0)]\n"

@@ -45,9 +45,9 @@ class Rig:
             self.served = ServedRig(folder / "rig")
         self.out = folder / "out"
         once = random_multisine(1, 5.0, 0.7)
-        write_plan(once, folder / "rig" / "short.csv")
+        write_plan(once, folder / "rig/short.csv")
         write_plan(Plan(np.arange(12 * len(once.time_s)) / 100.0, np.tile(once.torque_nm, 12)),
-                   folder / "rig" / "long.csv")
+                   folder / "rig/long.csv")
         self.live = self.start()
 
     def start(self, *more: str) -> Live:
@@ -366,7 +366,7 @@ def test_a_report_cannot_act_and_a_token_can_be_had_on_this_machine(rig: Rig) ->
 def test_the_demo_brings_its_own_rig_and_takes_it_away(tmp_path: Path) -> None:
     with Live("--demo", "--out", str(tmp_path)) as live:
         assert status(live.url) == 200
-        port = Path(load_rig(tmp_path / "rig" / "rig.toml").devices.controller.port)
+        port = Path(load_rig(tmp_path / "rig/rig.toml").devices.controller.port)
         assert port.is_symlink() and len(list((tmp_path / "rig").glob("plan*.csv"))) == 8
         assert live.end() == (0, "")
     assert not port.is_symlink()

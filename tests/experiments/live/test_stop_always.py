@@ -33,7 +33,7 @@ class FailingRig:
         self.out, self.switch = folder / "out", folder / "failing"
         self.switch.write_text("")
         t = np.arange(0.0, 60.0, 0.01)
-        write_plan(Plan(t, 0.3 * np.sin(7.0 * t)), folder / "rig" / "plan.csv")
+        write_plan(Plan(t, 0.3 * np.sin(7.0 * t)), folder / "rig/plan.csv")
         for path in (folder / "rig").glob("plan?.csv"):
             path.unlink()
         os.environ[ENTRY] = str(self.switch)

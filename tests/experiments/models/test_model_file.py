@@ -80,7 +80,7 @@ def test_mechanism_comes_back_with_its_settings() -> None:
 
 def test_friction_is_rounded_off_over_one_speed_where_nothing_is_said() -> None:
     """In a rig file, a model file and the estimator, as the page states."""
-    stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "docs" / "rig.md").read_text())
+    stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "docs/rig.md").read_text())
     rig = mechanism_settings(parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]')).friction_velocity_radps
     model = MechanismSettings(model="leg2", actuated=(2,)).friction_velocity_radps
     assert rig == model == leg2().velocity_scale == float(stated.group(1))
@@ -151,10 +151,8 @@ def changed(value: Any, *path: Any) -> str:
 def test_bad_files_are_refused_in_one_line(tmp_path: Path, content: str, place: str) -> None:
     path = tmp_path / "model.json"
     path.write_text(content, encoding="latin-1")
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^{re.escape(str(path))}.*{re.escape(place)}.*\Z"):  # . is no new line
         load_model(path)
-    text = str(caught.value)
-    assert str(path) in text and place in text and "\n" not in text
 
 
 def test_fit_document_is_the_contract() -> None:

@@ -76,7 +76,7 @@ def folder(module_path: Path) -> Path:
         typed("simulate model.json --plan plan.csv --out run.csv --noise-seed 1")
         typed("validate model.json run.csv --html validation.html --rig", RIG)
         typed("monte-carlo biped3 --runs 3 --cases 1 --methods wls --workers 1 --out study")
-    (out / "study" / "report.html").rename(out / "study.html")
+    (out / "study/report.html").rename(out / "study.html")
     return out
 
 

@@ -46,7 +46,7 @@ def write_diagnosis(path: Path, verdict: str, runs: Mapping[str, list[str]], cau
 def folder(tmp_path: Path) -> Path:
     write_run(tmp_path / "b.mcap", 3, 1.0, lost=4)
     write_run(tmp_path / "a.mcap", 5, 2.0, event=("limit q1_rad", "q1 is 1.7 rad; stop sent"))
-    write_run(tmp_path / "deep" / "a.mcap", 1, 1.5, model="chain", gaps=2)
+    write_run(tmp_path / "deep/a.mcap", 1, 1.5, model="chain", gaps=2)
     (tmp_path / "broken.mcap").write_bytes(b"not a run")
     (tmp_path / "model.json").write_text('{"schema": "legid.model/1"}')
     (tmp_path / "other.json").write_text("[1, 2")

@@ -1,6 +1,6 @@
 """`legid init`: a rig file by asking and by probing, which the other commands take."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,34 +11,15 @@ from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from experiments.doctor import preflight
 from experiments.rig import discovery
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Answers, Shell
 from tests.support.still_plant import StillPlant
 
 pytestmark = REAL_CLOCK
-Answers = Callable[..., list[str]]
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "rig.toml"
-
-
-@pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
-    """Says what is answered; the questions asked are in the list returned."""
-    def give(*texts: str) -> list[str]:
-        rest, asked = iter(texts), []
-
-        def answer(question: str = "") -> str:
-            asked.append(question)
-            for text in rest:
-                return text
-            raise EOFError
-
-        monkeypatch.setattr("builtins.input", answer)
-        return asked
-
-    return give
 
 
 def test_by_asking(path: Path, answers: Answers, shell: Shell) -> None:
@@ -119,7 +100,7 @@ def test_answers_that_end_early_or_do_not_fit(path: Path, answers: Answers, shel
     answers("", "7", *[""] * 13)  # leg2 has no joint 7
     shell.fails("init", path)
     shell.fails("init", path, "--port /dev/x")
-    shell.fails("init", path.parent / "no" / "rig.toml", "--defaults")
+    shell.fails("init", path.parent / "no/rig.toml", "--defaults")
     assert not path.exists()
 
 

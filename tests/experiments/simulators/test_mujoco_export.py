@@ -171,7 +171,7 @@ def test_a_real_arm_errs_alike_in_mujoco(here: Path, shell: Shell) -> None:
     assert errors["mujoco"] == pytest.approx(errors["legid"], rel=0.02)
     assert "MuJoCo's free runs against legid's own" in shell.out
     shell("export m.json --to mujoco --out sim --starts", held, *rig)
-    loaded = mujoco.MjModel.from_xml_path(str(here / "sim" / "leg.xml"))
+    loaded = mujoco.MjModel.from_xml_path(str(here / "sim/leg.xml"))
     assert loaded.key("02").qpos.shape == (2,) and np.abs(loaded.key("02").qvel).max() > 0.0
     assert len(START) == ExportedLeg(load_model(model), "m").leg.model.nq
 
@@ -223,12 +223,12 @@ def test_samples_are_written_and_run_as_a_batch(here: Path, shell: Shell) -> Non
     words = "export m.json --to mujoco --out sim --samples 8 --seed 4"
     shell(words)
     assert "kept at the model's value: beta6" in shell.err
-    first = (here / "sim" / "samples.csv").read_text()
+    first = (here / "sim/samples.csv").read_text()
     shell(words)
-    assert (here / "sim" / "samples.csv").read_text() == first
+    assert (here / "sim/samples.csv").read_text() == first
     rows = list(csv.DictReader(first.splitlines()))
     for row in rows:
-        loaded = mujoco.MjModel.from_xml_path(str(here / "sim" / "samples" / row["model"] / "leg.xml"))
+        loaded = mujoco.MjModel.from_xml_path(str(here / "sim/samples" / row["model"] / "leg.xml"))
         assert loaded.dof_damping[1] == pytest.approx(float(row["beta7"]))
         assert loaded.jnt_stiffness[0] == pytest.approx(float(row["joint_stiffness@1.stiffness"]))
     done = ran("-I", here / "sim/batch.py")

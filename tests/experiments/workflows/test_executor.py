@@ -128,7 +128,7 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
     """Through the command; the killed worker's blocks are done by the other, with the numbers of a run without both."""
     address, processes = cluster
     work = blocks(CASES[1:2], ["mle", FLOOR], 250, 6)
-    kept = here / "study" / "blocks"
+    kept = here / "study/blocks"
 
     def kill_half_way() -> None:
         while len(list(kept.glob("*.npz"))) < len(work) // 3:

@@ -1,6 +1,6 @@
-"""The tutorial on each emulated drive: record, look, fit, play back; and, slow, the hidden spring."""
+"""Emulated drives: recorded, looked at, fitted, played back; a clipped current is told; slow: the hidden spring."""
 
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +8,13 @@ import pytest
 
 from daq import InputError, WorkError, load_rig, parse_rig
 from daq.recording import write_plan
+from drivers.mock.emulator import FirmwareEmulator
 from experiments.emulation import LegBody, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
 from tests.support.paths import DEMO_RIG
-from tests.support.shell import Shell, document, read_json, values
+from tests.support.shell import Answers, Shell, document, read_json, values
 
 KINDS = ("moteus", "odrive", "dynamixel")
 
@@ -65,14 +66,13 @@ def test_a_drive_asks_for_the_hard_wired_stop_before_anything_is_opened(tmp_path
     assert "no such port" in shell.fails(*record, "--estop-at-hand", status=1)
 
 
-def test_the_question_is_answered_by_yes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+def test_the_question_is_answered_by_yes_alone(answers: Answers) -> None:
     rig = parse_rig(rig_text("odrive"))
     for yes in ("y", " Yes "):
-        monkeypatch.setattr("builtins.input", partial(str.format, yes))
+        answers(yes)
         confirm_estop(rig, False)
     for no in ("", "n", "j"):
-        monkeypatch.setattr("builtins.input", partial(str.format, no))
+        answers(no)
         with pytest.raises(WorkError, match="no hard-wired emergency stop at hand"):
             confirm_estop(rig, False)
     confirm_estop(rig, True)
@@ -90,3 +90,28 @@ def test_the_hidden_spring_is_named(kind: str, tmp_path: Path, shell: Shell) -> 
     shell("demo --drive", kind, "--out", tmp_path)
     found = read_json(tmp_path / "diagnosis.json")
     assert found["verdict"] == "named" and [c["effect"] for c in found["causes"]] == ["joint_stiffness"]
+
+
+RANGE_A = 0.5
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_clipped_current_is_told_from_the_recording_on(clipped: bool, here: Path, monkeypatch: pytest.MonkeyPatch,
+                                                         shell: Shell) -> None:
+    whole = FirmwareEmulator._telemetry
+
+    def within(self: FirmwareEmulator, *args: object) -> object:
+        frame = whole(self, *args)  # type: ignore[arg-type]
+        return replace(frame, current_a=float(np.clip(frame.current_a, -RANGE_A, RANGE_A))) if clipped else frame
+
+    monkeypatch.setattr(FirmwareEmulator, "_telemetry", within)
+    # else the supervisor stops the motor
+    (here / "rig.toml").write_text(DEMO_RIG.read_text().replace("[limits]", "[limits]\ntorque_band_nm = 0.6"))
+    write_plan(random_multisine(7, 4.0, 0.6), here / "plan.csv")
+    shell("record --rig rig.toml --plan plan.csv --out run.mcap --emulate")
+    told = "tau2_nm stands at exactly"
+    assert (told in shell.err) == clipped
+    for command, fault in (("info run.mcap", told), ("runs .", "faulty readings"),
+                           ("fit run.mcap --rig rig.toml", told)):
+        shell(command)
+        assert (fault in shell.out) == clipped
