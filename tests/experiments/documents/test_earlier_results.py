@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import legid
-from tests.support.earlier import FOLDER, again, earlier
+from tests.support.earlier import FOLDER, again, earlier, written_by
 
 CHANGE = earlier("change")
 SESSIONS = earlier("sessions")
@@ -31,8 +31,7 @@ def test_a_change_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path
     with pytest.raises(ValueError, match="neither"):
         found.to_frame("noise")
     assert len(found.plot().axes) == 1 and "Warning: look at it" in found._repr_html_()
-    found.page(tmp_path / "page.html")  # which needs no motion
-    page = (tmp_path / "page.html").read_text()
+    page = written_by(found.page)  # which needs no motion
     assert "<svg" in page and "b.csv is damaged: the end" in page and "encoder_offset, joint 2" in page
     assert again(found) == CHANGE
     with pytest.raises(legid.InputError, match="against"):
@@ -45,15 +44,14 @@ def test_sessions_of_an_earlier_version_are_read_shown_and_written(tmp_path: Pat
     assert found.verdict == "named" and found.pairs[1].a.name == "A" and len(found.plot().axes) == 1
     assert found.to_frame()[["from", "to", "value"]].values.tolist() == [["A", "B", 0.03]]
     assert len(found.to_frame("candidates")) == 4 and "<p>No difference</p>" in found._repr_html_()
-    found.page(tmp_path / "page.html")
-    assert "B against A: Changed" in (tmp_path / "page.html").read_text()
+    assert "B against A: Changed" in written_by(found.page)
     kept = again(found)
     assert [pair.pop("wall_s") for pair in kept["pairs"]] == [0.0, 0.0] and kept == SESSIONS
     one = legid.Sessions.read(written(tmp_path, {**SESSIONS, "pairs": SESSIONS["pairs"][1:]}))
     assert "From A to B:" in str(one) and "from" not in one.to_frame()
 
 
-def test_a_comparison_of_an_earlier_version_is_read_shown_and_written(tmp_path: Path) -> None:
+def test_a_comparison_of_an_earlier_version_is_read_shown_and_written() -> None:
     found = legid.Comparison.read(FOLDER / "comparison.json")
     text = str(found)
     assert text.startswith("B IS BETTER (b.json)") and "nan" not in text
@@ -63,8 +61,7 @@ def test_a_comparison_of_an_earlier_version_is_read_shown_and_written(tmp_path: 
     assert np.isnan(parameters.loc["backlash@2 gap", "a"]) and parameters.loc["beta1", "b"] == 0.12
     assert "<td>whole runs</td><td>q1_rad</td><td>diverged</td>" in found._repr_html_()
     assert repr(found) == "<Comparison: B IS BETTER (b.json): at 2 of 2.>" and len(found.plot().axes) == 1
-    found.page(tmp_path / "c.html")
-    page = (tmp_path / "c.html").read_text()
+    page = written_by(found.page)
     assert "<h2>Free-run errors over horizons</h2>" in page and "<h2>Free run of" not in page
     assert again(found) == earlier("comparison")
 

@@ -32,7 +32,7 @@ def test_it_shows_each_file_and_the_command_that_imports(files: list[str], here:
     rows = {line.split()[0]: line.split() for line in said.splitlines() if line.startswith(str(here))}
     assert rows[files[0]][1:5] == ["3000", "200", "15.0", "0.0"]
     assert "has no column 'pos'" in said and said.splitlines()[-1] == (
-        f"then: legid import {' '.join(files)} --map {out / 'columns.toml'} --out {out}")
+        f"then: legid import {' '.join(files)} --map runs/columns.toml --out runs")
     assert sorted(p.name for p in out.iterdir()) == ["columns.html", "columns.toml"]
 
 

@@ -11,7 +11,7 @@ import pytest
 from msgspec import structs
 
 from daq import InputError
-from experiments.models import TorqueTable, load_model, save_model
+from experiments.models import Model, TorqueTable, load_model, save_model
 from experiments.models.schema import JointTorque, StructureValues, TableInput
 from experiments.simulators import ExportedLeg, draw_models, require_mujoco, simulator_files
 from experiments.simulators.parts import OF_LOOP, parts_of
@@ -182,7 +182,7 @@ def test_options_that_belong_elsewhere_are_refused(here: Path, shell: Shell) -> 
         shell.fails("export m.json --out x --to", words)
 
 
-def uncertain(folder: Path, share: float = 0.02) -> tuple[object, np.ndarray]:
+def uncertain(folder: Path, share: float = 0.02) -> tuple[Model, np.ndarray]:
     """A leg with a spring and bristles, and its covariance: correlated, one size not determined."""
     model = model_of(folder, 1, ("joint_stiffness", "stribeck_friction"))
     values = np.array([*model.beta, *(v for e in model.effects for v in (*e.sizes.values(), *e.shapes.values()))])
@@ -191,15 +191,14 @@ def uncertain(folder: Path, share: float = 0.02) -> tuple[object, np.ndarray]:
     root = share * np.abs(values)[:, None] * (np.eye(values.size) + 0.5 * mixed)
     root[-1] = 0.0  # the exponent is held
     covariance = root @ root.T
-    rows = [[float(c) for c in row] for row in covariance]
-    open_rows = [[None if 5 in (i, j) else c for j, c in enumerate(row)]
-                 for i, row in enumerate(rows)]
-    return structs.replace(model, covariance=tuple(map(tuple, open_rows))), covariance
+    rows = tuple(tuple(None if 5 in (i, j) else float(c) for j, c in enumerate(row))
+                 for i, row in enumerate(covariance))
+    return structs.replace(model, covariance=rows), covariance
 
 
 def test_draws_have_the_model_s_mean_and_covariance(tmp_path: Path) -> None:
     model, covariance = uncertain(tmp_path, 0.005)
-    samples = draw_models(model, "m.json", 2000, 1)  # type: ignore[arg-type]
+    samples = draw_models(model, "m.json", 2000, 1)
     assert samples.held == ("beta6",) and np.ptp(samples.values[:, 5]) == 0.0
     free = [k for k in range(len(covariance)) if k not in (5, len(covariance) - 1)]
     scale = np.sqrt(np.diag(covariance))[free]
@@ -212,14 +211,14 @@ def test_draws_have_the_model_s_mean_and_covariance(tmp_path: Path) -> None:
 
 def test_no_draw_is_a_leg_that_cannot_be(tmp_path: Path) -> None:
     model, _ = uncertain(tmp_path, 0.4)
-    samples = draw_models(model, "m.json", 50, 1)  # type: ignore[arg-type]
+    samples = draw_models(model, "m.json", 50, 1)
     assert samples.redrawn > 0
     assert samples.values[:, 5:9].min() >= 0.0 and samples.values[:, 11].min() >= 0.0
 
 
 def test_samples_are_written_and_run_as_a_batch(here: Path, shell: Shell) -> None:
     model, _ = uncertain(here)
-    save_model(model, here / "m.json")  # type: ignore[arg-type]
+    save_model(model, here / "m.json")
     words = "export m.json --to mujoco --out sim --samples 8 --seed 4"
     shell(words)
     assert "kept at the model's value: beta6" in shell.err
