@@ -19,7 +19,7 @@ from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from legid import api
 from tests.support.paths import ROOT
 
-EXAMPLE = ROOT / "docs" / "example.py"
+EXAMPLE = ROOT / "docs/example.py"
 
 
 @pytest.fixture(scope="module")
@@ -85,31 +85,28 @@ def test_results_draw_themselves_and_remember_where_they_come_from(example: dict
 @pytest.mark.slow
 def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> None:
     result, runs, rig = example["result"], example["runs"][:3], example["rig_file"]
-    with pytest.raises(api.WorkError, match="did not converge"):
-        api.model(replace(result.estimate, converged=False), runs, rig)
-    with pytest.raises(api.WorkError, match="does not determine beta8"):
-        api.model(replace(result.estimate, undetermined=(Combination((("beta8", 1.0),)),)), runs, rig)
-    with pytest.raises(api.WorkError, match="too short"):
-        api.model(Details("fit_failed", "too short"), runs, rig)
+    for found, told in (
+            (replace(result.estimate, converged=False), "did not converge"),
+            (replace(result.estimate, undetermined=(Combination((("beta8", 1.0),)),)), "does not determine beta8"),
+            (Details("fit_failed", "too short"), "too short")):
+        with pytest.raises(api.WorkError, match=told):
+            api.model(found, runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
         legid.Diagnosis.of(Details("fit_failed", "too short")).plot()
 
 
 def test_bad_input_is_an_input_error(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
-    plan = api.multisine(seed=0, duration_s=6.0, peak_nm=0.1)
-    with pytest.raises(api.InputError, match="only a leg2 can be emulated"):
-        api.record(tmp_path / "rig.toml", plan, tmp_path / "run.mcap", emulate="none")
-    with pytest.raises(api.InputError, match=r"has no \[devices.controller\]"):
-        api.record(tmp_path / "rig.toml", plan, tmp_path / "run.mcap")
-    with pytest.raises(api.InputError, match="No such file"):
-        api.load(tmp_path / "run.txt", tmp_path / "rig.toml")
-    with pytest.raises(api.InputError, match="is of no kind that is known"):
-        api.load(tmp_path / "rig.toml", tmp_path / "rig.toml")
-    with pytest.raises(api.InputError, match="cannot be hidden"):
-        (tmp_path / "leg.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
-        api.record(tmp_path / "leg.toml", plan, tmp_path / "run.mcap", emulate="a_ghost")
-    assert not (tmp_path / "run.mcap").exists()
+    plan, rig, run = api.multisine(seed=0, duration_s=6.0, peak_nm=0.1), tmp_path / "rig.toml", tmp_path / "run.mcap"
+    for model, emulate, told in (
+            ("leg2", "a_ghost", "cannot be hidden"), ("joint1", "none", "only a leg2 can be emulated"),
+            ("joint1", None, r"has no \[devices.controller\]")):
+        rig.write_text(f'[mechanism]\nmodel = "{model}"\nactuated = [1]\n')
+        with pytest.raises(api.InputError, match=told):
+            api.record(rig, plan, run, emulate=emulate)
+    for file, told in ((run, "No such file"), (rig, "is of no kind that is known")):
+        with pytest.raises(api.InputError, match=told):
+            api.load(file, rig)
+    assert not run.exists()
 
 
 def test_every_function_is_typed_and_explained() -> None:

@@ -1,9 +1,6 @@
 """Python has what the commands have: the guess of a map, exports, pages, a first line and a table, a short repr."""
 
-import io
-import json
 import re
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +8,9 @@ import numpy as np
 import pytest
 
 import legid
-from experiments.cli import main
 from tests.support.imported_files import degrees_log
 from tests.support.paths import FIXTURES
+from tests.support.shell import Shell, document, typed
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 
@@ -24,12 +21,6 @@ def log(module_path: Path) -> Path:
     return degrees_log(module_path / "log.csv", 11, "Zeit")
 
 
-def typed(*words: object) -> str:
-    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()):
-        assert main([str(word) for word in words]) == 0
-    return out.getvalue()
-
-
 def sections(page: Path) -> list[str]:
     """Headings of a page, and its first table's rows."""
     text = page.read_text()
@@ -37,7 +28,7 @@ def sections(page: Path) -> list[str]:
 
 
 def test_a_guess_is_the_command_s_and_reads_the_file(log: Path, tmp_path: Path) -> None:
-    typed("import", log, "--guess", "--map", tmp_path / "typed.toml")
+    typed("import", log, "--guess --map", tmp_path / "typed.toml")
     guess = legid.guess(log)
     guess.write(tmp_path / "map.toml")
     guess.page(tmp_path / "map.html")
@@ -55,19 +46,21 @@ def test_amperes_without_a_scale_are_refused_in_python_too(log: Path) -> None:
         legid.read(log, columns)
 
 
-def test_results_show_themselves_and_write_the_commands_pages(log: Path, tmp_path: Path) -> None:
+def test_results_show_themselves_and_write_the_commands_pages(log: Path, tmp_path: Path, shell: Shell) -> None:
     run = legid.read(log, legid.guess(log).columns, rig=log.parent / "rig.toml")
     legid.export(run, tmp_path / "run.csv")
-    assert typed("info", tmp_path / "run.csv")
+    shell("info", tmp_path / "run.csv")
+    assert shell.out
     run = legid.load(tmp_path / "run.csv", log.parent / "rig.toml")
     found = legid.fit(run)
     model = legid.model(found)
     legid.save_model(model, tmp_path / "model.json")
     seen = legid.validate(model, run)
-    said = typed("fit", tmp_path / "run.csv", "--rig", log.parent / "rig.toml", "--html", tmp_path / "fit.html")
-    assert str(found).splitlines()[0] == said.splitlines()[0] == str(found.trust) and "m2*l1*lc2" in str(found)
-    said = typed("validate", tmp_path / "model.json", tmp_path / "run.csv", "--rig", log.parent / "rig.toml", "--html",
-                 tmp_path / "validation.html", "--json", tmp_path / "v.json")
+    files = tmp_path / "run.csv", "--rig", log.parent / "rig.toml", "--html"
+    shell("fit", *files, tmp_path / "fit.html")
+    assert str(found).splitlines()[0] == shell.out.splitlines()[0] == str(found.trust) and "m2*l1*lc2" in str(found)
+    (one,) = document("validate", tmp_path / "model.json", *files, tmp_path / "validation.html")["runs"]
+    said = shell.out
     assert str(seen).splitlines()[0] == said.splitlines()[0] and "SSE q2_rad" in str(seen)
     for result, page in ((found, "fit.html"), (seen, "validation.html")):
         result.page(tmp_path / f"python-{page}")
@@ -76,8 +69,6 @@ def test_results_show_themselves_and_write_the_commands_pages(log: Path, tmp_pat
         assert rest[:20] == typed_rest[:20] and len(rest) > 20 and title.split()[0] == typed_title.split()[0]
     for shown in (run, found, seen, seen[0], model):
         assert len(repr(shown)) < 700 and len(str(shown)) < 3000, type(shown)
-    document = json.loads((tmp_path / "v.json").read_text())
-    (one,) = document["runs"]
     assert one["initial_state"] == pytest.approx({"q1_rad": seen[0].q[0, 0], "q2_rad": seen[0].q[0, 1],
                                                   "q1d": seen[0].qd[0, 0], "q2d": seen[0].qd[0, 1]}, abs=1e-12)
     assert f"{seen[0].q[0, 1]:.5g}" in said.split("Initial states")[1]
@@ -93,7 +84,7 @@ def test_exports_are_the_commands(log: Path, tmp_path: Path) -> None:
         assert (tmp_path / name).read_text() == (tmp_path / f"typed-{name}").read_text() and notes
     legid.export(model, tmp_path / "leg", "mujoco", starts=run)
     assert {path.name for path in (tmp_path / "leg").iterdir()} == {"leg.xml", "leg.py"}
-    assert "<key" in (tmp_path / "leg" / "leg.xml").read_text()
+    assert "<key" in (tmp_path / "leg/leg.xml").read_text()
     legid.export(run, tmp_path / "run.parquet")
     again = legid.load(tmp_path / "run.parquet", log.parent / "rig.toml")
     np.testing.assert_array_equal(again["q2_rad"], run["q2_rad"])

@@ -80,12 +80,10 @@ def test_without_pandas_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 def test_runs_without_a_rig_or_of_two_rigs_are_refused() -> None:
     bare = legid.Dataset("bare", 100.0, np.arange(5.0), {})
     other = replace(two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
-    with pytest.raises(legid.InputError, match="bare: was not loaded with a rig"):
-        legid.fit(bare)
-    with pytest.raises(legid.InputError, match=r"run2\.csv: was loaded with another rig than run1\.csv"):
-        legid.fit([two_columns(), other])
-    with pytest.raises(legid.InputError, match="is empty"):
-        legid.fit([])
+    for runs, told in (([bare], "bare: was not loaded with a rig"), ([], "is empty"),
+                       ([two_columns(), other], r"run2\.csv: was loaded with another rig than run1\.csv")):
+        with pytest.raises(legid.InputError, match=told):
+            legid.fit(runs)
     with pytest.raises(legid.InputError, match="holds no rig"):
         legid.load("run.csv")
 

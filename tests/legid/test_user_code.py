@@ -1,9 +1,6 @@
 """What a user writes: the first script of the README runs as it stands, and types of results are known to mypy."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +9,7 @@ import legid
 from daq import InputError
 from tests.support.imported_files import degrees_log
 from tests.support.paths import ROOT
+from tests.support.processes import ran
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SCRIPT = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
@@ -42,27 +40,21 @@ WRONG = {"wrong: int = seen.trust": "incompatible type", "seen.no_such_key": "no
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two logs of one leg under another program's names, and its rig."""
+    monkeypatch.setenv("MYPYPATH", str(ROOT))  # mypy does not follow the finder of an editable install
     for seed, name in ((11, "log"), (12, "log2")):
         degrees_log(tmp_path / f"{name}.csv", seed)
     (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
     return tmp_path
 
 
-def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    # mypy does not follow the finder of an editable install
-    return subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=300,
-                          env={**os.environ, "MYPYPATH": str(ROOT)})
-
-
 def test_the_first_script_runs_in_at_most_fifteen_lines(folder: Path) -> None:
     (script,) = SCRIPT
     assert len(script.splitlines()) <= MOST_LINES
     (folder / "first.py").write_text(script)
-    done = run(folder, "first.py")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("TRUST the parameters") and "m2*l1*lc2" in done.stdout
+    said = ran("first.py", cwd=folder).stdout
+    assert said.startswith("TRUST the parameters") and "m2*l1*lc2" in said
     assert (folder / "leg/leg.xml").is_file() and "<svg" in (folder / "diagnosis.html").read_text()
     assert {path.name for path in folder.iterdir()} >= {"fit.html", "extended.json"}
 
@@ -77,8 +69,7 @@ columns = {given}.columns
 print(columns["tau2_nm"].scale, len(legid.read("log.csv", columns, rig="rig.toml")))
 print(len(legid.read("log.csv", legid.guess("log.csv").columns, scale={{"tau2_nm": 0.12}})))
 """)
-    done = run(folder, "amperes.py")
-    assert done.returncode == 0, done.stderr
+    done = ran("amperes.py", cwd=folder)
     assert done.stdout.split() == ["0.12", "1000", "1000"]
     assert done.stderr.count("UserWarning: the scale of tau2_nm does not show") == 1  # of the guess without it
     with pytest.raises(InputError, match="tau1_nm is no column of the map"):
@@ -88,8 +79,8 @@ print(len(legid.read("log.csv", legid.guess("log.csv").columns, scale={{"tau2_nm
 def test_mypy_strict_knows_the_types_of_results(folder: Path) -> None:
     (folder / "first.py").write_text(SCRIPT[0])
     (folder / "typed.py").write_text(TYPED)
-    done = run(folder, "-m", "mypy", "--strict", "--follow-imports=silent", "first.py", "typed.py")
-    assert done.returncode == 0, done.stdout
+    mypy = "-m", "mypy", "--strict", "--follow-imports=silent"
+    ran(*mypy, "first.py", "typed.py", cwd=folder)
     (folder / "wrong.py").write_text("\n".join([TYPED, *WRONG]))
-    said = run(folder, "-m", "mypy", "--strict", "--follow-imports=silent", "wrong.py").stdout.splitlines()
+    said = ran(*mypy, "wrong.py", cwd=folder, status=1).stdout.splitlines()
     assert len(said) == len(WRONG) + 1 and all(told in line.lower() for line, told in zip(said, WRONG.values()))

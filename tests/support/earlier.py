@@ -1,6 +1,7 @@
 """Documents as earlier versions wrote them."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,7 +18,12 @@ def earlier(name: str) -> Any:
 
 def again(found: Any) -> Any:
     """What its `to_json` writes."""
+    return json.loads(written_by(found.to_json))
+
+
+def written_by(write: Callable[[Path], object]) -> str:
+    """The text of the file that it writes: `written_by(result.page)`."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "again.json"
-        found.to_json(path)
-        return json.loads(path.read_text())
+        path = Path(folder) / "written"
+        write(path)
+        return path.read_text()

@@ -65,7 +65,7 @@ PAIRS = (("torque_delay", "sensor_time_skew"), ("stribeck_friction", "presliding
 def model_of(folder: Path, seed: int, names: Sequence[str], cases: Mapping[str, Case] = EFFECTS,
              smoothing: float = 0.005, **more: Any) -> Model:
     """A random leg with effects."""
-    beta = list(random_leg(np.random.default_rng(seed)).beta())
+    beta = list(random_leg(seed).beta())
     model = load_model(write_model(folder / "m.json", beta, {**LEG, "friction_velocity_radps": smoothing}))
     effects = tuple(EffectValue(name=name, joint=cases[name].joint if known_effects()[name].per_joint else None,
                                 sizes=dict(cases[name].sizes), shapes=dict(cases[name].shapes)) for name in names)

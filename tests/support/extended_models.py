@@ -11,14 +11,13 @@ import numpy as np
 from daq import load_rig
 from daq.recording import read_plan, write_plan
 from daq.runs import read_csv
-from experiments import cli
 from experiments.emulation import EFFECTS, LegBody
 from experiments.excite import random_multisine
 from experiments.judge import model_of
-from experiments.models import EffectValue, Model, save_model
-from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models import EffectValue, Model, mechanism_settings, save_model
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
+from tests.support.shell import typed
 
 REACH = ((-0.6, 0.6), (-1.5, 1.5))
 
@@ -40,8 +39,7 @@ def run_of(model: Model, folder: Path, *more: str, seconds: float = 8.0) -> Mapp
     if not (folder / "plan.csv").exists():
         write_plan(random_multisine(5, seconds, 0.6, rate_hz=200.0), folder / "plan.csv")
     (folder / "run.csv").unlink(missing_ok=True)  # a run is never overwritten
-    assert cli.main(["simulate", str(folder / "m.json"), "--plan", str(folder / "plan.csv"), "--out",
-                     str(folder / "run.csv"), *more]) == 0
+    typed("simulate", folder / "m.json", "--plan", folder / "plan.csv", "--out", folder / "run.csv", *more)
     return read_csv(folder / "run.csv", load_rig(RIG)).columns
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from msgspec import ValidationError
 
-from experiments.cli.main import main
+from experiments.cli import main
 from experiments.live import bench, children, page, session
 
 ENTRY = "LEGID_FAILING"

@@ -1,5 +1,7 @@
 """A fit made of sines, for pages and files, and its document."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator import FitResult, Trajectory
@@ -7,6 +9,8 @@ from estimator.model import leg2
 from experiments.documents import FitDocument
 from experiments.emulation import LegBody
 from experiments.models import MechanismSettings
+from experiments.reports import Section, fit_sections, fit_text
+from experiments.reports.html import render_page
 
 
 def synthetic_fit() -> FitResult:
@@ -29,6 +33,27 @@ def synthetic_fit() -> FitResult:
                      np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
 
 
+def with_slow_gyro(path: Trajectory) -> Trajectory:
+    """The same motion with a gyro whose error wanders."""
+    slow = 0.15 * np.sin(0.8 * path.time_s)
+    return replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow})
+
+
 def document_of(result: FitResult, model: str = "leg2") -> FitDocument:
     """`legid.fit/1` of a fit without runs."""
     return FitDocument.of(result, MechanismSettings(model=model, actuated=(2,), lever_arm_m=0.2))
+
+
+def text_of(result: FitResult) -> str:
+    """What the terminal shows."""
+    return fit_text(document_of(result))
+
+
+def sections_of(result: FitResult) -> list[Section]:
+    """Those of its page."""
+    return fit_sections(document_of(result), result)
+
+
+def page_of(result: FitResult) -> str:
+    """These as a page."""
+    return render_page("Fit", "", sections_of(result))

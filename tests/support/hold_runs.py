@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import Dataset
-from experiments.excite.staircase import staircase
+from experiments.excite import staircase
 
 G = 9.81
 RATE_HZ = 100.0

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import StoragePlugin
 from scipy.io import savemat
 
-from daq import Dataset
-from daq.rig_columns import Column
-from experiments.exchange.column_map import load_map
+from daq import Column, Dataset
+from experiments.exchange import load_map
 from tests.support.mujoco_leg import Leg, record
+from tests.support.ros_bag import Bag, header, made
 from tests.support.shell import typed
 
 DEGREE = np.pi / 180.0
@@ -61,22 +60,18 @@ def matlab(run: Dataset, path: Path) -> Path:
 
 def ros2_bag(run: Dataset, folder: Path, plugin: StoragePlugin) -> Path:
     """A bag by the library `rosbags`: sensor_msgs/Imu with z out of the plane the other way, and JointState."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    t = store.types
-    imu_type, joint_type, header = t["sensor_msgs/msg/Imu"], t["sensor_msgs/msg/JointState"], t["std_msgs/msg/Header"]
-    vector, turn, none = t["geometry_msgs/msg/Vector3"], t["geometry_msgs/msg/Quaternion"], np.zeros(9)
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        imu = writer.add_connection("/thigh/imu", imu_type.__msgtype__, typestore=store)
-        joints = writer.add_connection("/joint_states", joint_type.__msgtype__, typestore=store)
+    none = np.zeros(9)
+    with Bag(folder, plugin) as bag:
         for k, time_s in enumerate(run.time_s):
-            at = 1_700_000_000_000_000_000 + round(time_s * 1e9)
-            head = header(t["builtin_interfaces/msg/Time"](*divmod(at, 1_000_000_000)), "imu")
-            message = imu_type(head, turn(0.0, 0.0, 0.0, 1.0), none, vector(0.0, 0.0, -run["gyro_radps"][k]), none,
-                               vector(run["accel_x_mps2"][k], run["accel_y_mps2"][k], 0.0), none)
-            writer.write(imu, at + 400_000, store.serialize_cdr(message, imu_type.__msgtype__))
-            state = joint_type(head, ["hip", "knee"], np.array([NEVER, run["q2_rad"][k]]), np.zeros(0),
-                               np.array([0.0, run["tau2_nm"][k]]))
-            writer.write(joints, at + 700_000, store.serialize_cdr(state, joint_type.__msgtype__))
+            head = header(time_s, "imu")
+            turn, rate, force = (made(f"geometry_msgs/{kind}", *values) for kind, values in (
+                ("Quaternion", (0.0, 0.0, 0.0, 1.0)), ("Vector3", (0.0, 0.0, -run["gyro_radps"][k])),
+                ("Vector3", (run["accel_x_mps2"][k], run["accel_y_mps2"][k], 0.0))))
+            bag.put("/thigh/imu", time_s + 4e-4,
+                    made("sensor_msgs/Imu", head, turn, none, rate, none, force, none))
+            bag.put("/joint_states", time_s + 7e-4,
+                    made("sensor_msgs/JointState", head, ["hip", "knee"], np.array([NEVER, run["q2_rad"][k]]),
+                             np.zeros(0), np.array([0.0, run["tau2_nm"][k]])))
     return folder
 
 
@@ -107,9 +102,22 @@ def guess(file: Path, *words: str, status: int = 0) -> dict[str, Column]:
     return load_map(target)
 
 
+def imported(file: Path, *words: str) -> Path:
+    """The run that an import by the guess writes."""
+    guess(file, *words)
+    out = file.parent / "out"
+    typed("import", file, "--map", file.with_suffix(".toml"), "--out", out, *words)
+    return out / f"{file.stem}.csv"
+
+
+def rows_of(path: Path) -> np.ndarray:
+    """(n, columns) of a CSV file."""
+    return np.loadtxt(path, delimiter=",", skiprows=1)
+
+
 def degrees_log(path: Path, seed: int, time: str = "Time") -> Path:
     """Ten seconds of a leg as another program logs them: degrees, semicolons, names of its own."""
-    run = record(Leg(), np.random.default_rng(seed), seconds=10.0)
+    run = record(Leg(), seed, seconds=10.0)
     np.savetxt(path, np.column_stack([run.time_s, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]),
                                       run["tau2_nm"]]),
                delimiter=";", header=f"{time} [s];Hip [deg];Knee [deg];Torque [Nm]", comments="")

@@ -21,6 +21,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 DRIVER = shutil.which("chromedriver")
 PATIENCE_S = 30.0
 LAPTOP, PHONE = (1280, 900), (390, 844)
+needs_browser = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
 
 
 class Browser:
@@ -49,6 +50,15 @@ class Browser:
         """A window of that size in CSS pixels, as a phone's or a laptop's."""
         self.cdp("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
                  mobile=size[0] < 600)
+
+    def show(self, page: Path, size: tuple[int, int] = LAPTOP) -> None:
+        """A page from the disk, in a window of that size."""
+        self.resize(size)
+        self.driver.get(page.as_uri())
+
+    def media(self, kind: str) -> None:
+        """The page as it is printed ("print") or seen ("")."""
+        self.cdp("Emulation.setEmulatedMedia", media=kind)
 
     def cdp(self, method: str, **parameters: Any) -> dict[str, Any]:
         """A command of the browser's own protocol."""
@@ -79,12 +89,14 @@ class Browser:
 
     def click(self, element: str) -> None:
         """A real click, on the middle of an element that can be clicked."""
-        def enabled() -> bool:
-            return bool(self.js("(e => e && !e.disabled && e.offsetParent !== null)"
-                                "(document.getElementById(arguments[0]))", element))
-        self.wait(enabled, f"#{element} can be clicked")
+        self.wait(lambda: self.enabled(element), f"#{element} can be clicked")
         self.js("document.getElementById(arguments[0]).scrollIntoView({block: 'center'})", element)
         self.mouse(element)
+
+    def enabled(self, element: str) -> bool:
+        """Whether the element with this id can be clicked."""
+        return bool(self.js("(e => e && !e.disabled && e.offsetParent !== null)"
+                            "(document.getElementById(arguments[0]))", element))
 
     def mouse(self, element: str) -> None:
         """Press and release where the element is now."""

@@ -49,12 +49,24 @@ def write_off(path: Path, seconds: float = 6.0, knee_rad: float | np.ndarray = 0
             sent = START_NS + tick * 1000 - 100_000
             writer.add("/leg/clock", sent, sent, sent + 300_000, tick + 50 - 5, tick + 50 + 5, 1, i)
     if readings is not None:
-        gyro, accel = ImuConfig().scale
-        facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": IMU_HZ}
-        writer.config(0, "imu", msgspec.json.encode(facts).decode())
-        counts = np.rint(readings / np.repeat([gyro, accel], 3)).astype(int)
-        for i, row in enumerate(counts.tolist()):
-            drained = START_NS + (int(i / IMU_HZ / DRAIN_S) + 1) * int(DRAIN_S * 1e9)
-            writer.add("/imu", drained, drained, drained + 90_000, i, *row, 0)
+        add_imu(writer, readings)
     writer.close()
     return str(path)
+
+
+def add_imu(writer: RunWriter, readings: np.ndarray) -> None:
+    """An IMU's readings (n, 6) in SI units at `IMU_HZ`, drained every `DRAIN_S`."""
+    gyro, accel = ImuConfig().scale
+    facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": IMU_HZ}
+    writer.config(0, "imu", msgspec.json.encode(facts).decode())
+    counts = np.rint(readings / np.repeat([gyro, accel], 3)).astype(int)
+    for i, row in enumerate(counts.tolist()):
+        drained = START_NS + (int(i / IMU_HZ / DRAIN_S) + 1) * int(DRAIN_S * 1e9)
+        writer.add("/imu", drained, drained, drained + 90_000, i, *row, 0)
+
+
+def hanging(q1: float, seconds: float = 6.0, seed: int = 0) -> np.ndarray:
+    """(n, 6) of an IMU on a link at rest at q1, mounted along the link's axes."""
+    rng, n = np.random.default_rng(seed), int(seconds * IMU_HZ)
+    still = np.array([0.01, -0.02, 0.03, 9.81 * np.sin(q1), -9.81 * np.cos(q1), 0.0])
+    return still + np.repeat([0.005, 0.05], 3) * rng.standard_normal((n, 6))

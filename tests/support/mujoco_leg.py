@@ -59,9 +59,9 @@ class Leg:
             l1=self.l1, m2=self.m2, c2=self.c2, i2=self.i2, lever=self.lever))
 
 
-def random_leg(rng: np.random.Generator) -> Leg:
-    """A leg of a plausible size."""
-    scale = rng.uniform(0.8, 1.25, 8)
+def random_leg(rng: np.random.Generator | int) -> Leg:
+    """A leg of a plausible size; `rng` may be a seed."""
+    scale = np.random.default_rng(rng).uniform(0.8, 1.25, 8)
     return Leg(m1=1.3 * scale[0], l1=0.3 * scale[1], c1=0.16 * scale[2], i1=0.012 * scale[3], m2=0.8 * scale[4],
                c2=0.15 * scale[5], i2=0.007 * scale[6],
                viscous=(0.02 * scale[7], 0.03), coulomb=(0.03, 0.05 * scale[0]), lever=0.2)
@@ -88,7 +88,7 @@ def multisine(rng: np.random.Generator, time: np.ndarray, amplitude: float, low:
     return amplitude * x / np.max(np.abs(x))
 
 
-def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz: float = 100.0,
+def record(leg: Leg, rng: np.random.Generator | int, *, seconds: float = 20.0, rate_hz: float = 100.0,
            amplitude: float = 1.2, gyro: float = 0.005, accel: float = 0.05, torque: float = 0.02,
            counts: int = 8192, hold: str = "linear", step: float = 5e-4, high: float = 3.0,
            friction_velocity: float = 3e-3, tau: np.ndarray | None = None, name: str = "run",
@@ -96,10 +96,12 @@ def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz
            law: Callable[[float, float, float, float], tuple[float, float]] | None = None) -> Dataset:
     """Simulate, sample and disturb one run; `hold` says how the true torque moves between samples.
 
+    `rng` may be a seed.
+
     `spring` is (stiffness [N m/rad], rest angle [rad]) of a spring on the pivot; `law` gives torques that act on pivot
     and knee in addition, by both angles and both rates.
     """
-    model = leg.model(step)
+    model, rng = leg.model(step), np.random.default_rng(rng)
     data = mujoco.MjData(model)
     n = int(seconds * rate_hz)
     sub = round(1.0 / (rate_hz * step))

@@ -40,9 +40,9 @@ def of_session(leader: int) -> set[int]:
             if (found := _status(stat))[3:4] == [str(leader)] and found[0] != "Z"}
 
 
-def until(true: Callable[[], object]) -> bool:
+def until(true: Callable[[], object], patience_s: float = PATIENCE_S) -> bool:
     """Whether it came true before patience ended."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while not true():
         if time.monotonic() > deadline:
             return False
@@ -71,9 +71,14 @@ def _status(stat: Path) -> list[str]:
         return []
 
 
+def ran(*words: object, cwd: Path = ROOT, status: int = 0) -> subprocess.CompletedProcess[str]:
+    """Python with these arguments and the checkout's packages, which must end so."""
+    done = subprocess.run([sys.executable, *map(str, words)], cwd=cwd, text=True, capture_output=True, check=False,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == status, done.stdout + done.stderr
+    return done
+
+
 def evidence(*words: object) -> str:
     """What `python -m evidence` prints, which must end well."""
-    done = subprocess.run([sys.executable, "-m", "evidence", *map(str, words)], cwd=ROOT, text=True,
-                          capture_output=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return ran("-m", "evidence", *words).stdout

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from daq import Dataset, FloatArray
+from tests.support.imported_files import table
+from tests.support.ros_bag import Bag, header, made
 
 DEGREE = np.pi / 180.0
 SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
@@ -35,19 +35,18 @@ def lerobot(folder: Path, episodes: list[list[Dataset]], fps: float = 30.0, v2: 
         state, action = (np.stack([run[name] for run in joints], axis=1) / DEGREE
                          for name in ("q1_rad", "q1_cmd_rad"))
         n = len(state)
-        tables.append(pa.table({
-            "action": pa.FixedSizeListArray.from_arrays(pa.array(action.astype(np.float32).ravel()), 6),
-            "observation.state": pa.FixedSizeListArray.from_arrays(pa.array(state.astype(np.float32).ravel()), 6),
-            "timestamp": pa.array((np.arange(n) / fps).astype(np.float32)), "frame_index": pa.array(np.arange(n)),
-            "episode_index": pa.array(np.full(n, k)), "index": pa.array(np.arange(n)),
-            "task_index": pa.array(np.zeros(n, dtype=int)), **({load: pa.FixedSizeListArray.from_arrays(
-                pa.array((3.0 * (action - state)).astype(np.float32).ravel()), 6)} if load else {})}))
+        lists = {"action": action, "observation.state": state} | ({load: 3.0 * (action - state)} if load else {})
+        columns = {name: pa.FixedSizeListArray.from_arrays(pa.array(values.astype(np.float32).ravel()), 6)
+                   for name, values in lists.items()}
+        tables.append(pa.table(columns | {
+            "timestamp": (np.arange(n) / fps).astype(np.float32), "frame_index": np.arange(n),
+            "episode_index": np.full(n, k), "index": np.arange(n), "task_index": np.zeros(n, dtype=int)}))
     data = folder / "data/chunk-000"
     data.mkdir(parents=True)
     if v2:
         paths = [data / f"episode_{k:06d}.parquet" for k in range(len(tables))]
-        for table, path in zip(tables, paths):
-            parquet.write_table(table, path)
+        for one, path in zip(tables, paths):
+            parquet.write_table(one, path)
         return paths
     parquet.write_table(pa.concat_tables(tables), data / "file-000.parquet")
     return [data / "file-000.parquet"]
@@ -67,25 +66,16 @@ def bam(path: Path, run: Dataset, motor: str, released_s: float = np.inf) -> Pat
 
 def trajectory_bag(folder: Path, run: Dataset, points_s: FloatArray) -> Path:
     """A bag of /joint_states at the run's times and one /joint_trajectory that commands `run`'s at `points_s`."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    t = store.types
-    header, stamp, span = t["std_msgs/msg/Header"], t["builtin_interfaces/msg/Time"], \
-        t["builtin_interfaces/msg/Duration"]
-    state_type, plan_type = t["sensor_msgs/msg/JointState"], t["trajectory_msgs/msg/JointTrajectory"]
-    point_type, none = t["trajectory_msgs/msg/JointTrajectoryPoint"], np.zeros(0)
-    begin = 1_700_000_000_000_000_000
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        states = writer.add_connection("/joint_states", state_type.__msgtype__, typestore=store)
-        plans = writer.add_connection("/arm/joint_trajectory", plan_type.__msgtype__, typestore=store)
-        wanted = np.interp(points_s, run.time_s, run["q1_cmd_rad"])
-        points = [point_type(np.array([q]), none, none, none, span(*divmod(round(s * 1e9), 1_000_000_000)))
+    none, wanted = np.zeros(0), np.interp(points_s, run.time_s, run["q1_cmd_rad"])
+    with Bag(folder) as bag:
+        points = [made("trajectory_msgs/JointTrajectoryPoint", np.array([q]), none, none, none,
+                           made("builtin_interfaces/Duration", *divmod(round(s * 1e9), 10**9)))
                   for s, q in zip(points_s, wanted)]
-        plan = plan_type(header(stamp(0, 0), ""), ["elbow"], points)
-        writer.write(plans, begin, store.serialize_cdr(plan, plan_type.__msgtype__))
+        start = made("std_msgs/Header", made("builtin_interfaces/Time", 0, 0), "")
+        bag.put("/arm/joint_trajectory", 0.0, made("trajectory_msgs/JointTrajectory", start, ["elbow"], points))
         for time_s, q in zip(run.time_s, run["q1_rad"]):
-            at = begin + round(time_s * 1e9)
-            state = state_type(header(stamp(*divmod(at, 1_000_000_000)), ""), ["elbow"], np.array([q]), none, none)
-            writer.write(states, at, store.serialize_cdr(state, state_type.__msgtype__))
+            bag.put("/joint_states", time_s, made("sensor_msgs/JointState", header(time_s), ["elbow"],
+                                                      np.array([q]), none, none))
     return folder
 
 
@@ -98,17 +88,14 @@ def feetech(path: Path, run: Dataset, multi_turn: bool = False) -> Path:
     shift = 0.0 if multi_turn else 2048.0
     counts = {name: magnitude(run[name] * 4096 / (2.0 * np.pi) + shift, 15) for name in ("q1_rad", "q1_cmd_rad")}
     load = magnitude(1000.0 * np.clip(2.0 * (run["q1_cmd_rad"] - run["q1_rad"]), -1.0, 1.0), 10)
-    table = [run.time_s, counts["q1_cmd_rad"], counts["q1_rad"], load, np.full(len(run), 121.0), np.full(len(run), 7.0)]
-    np.savetxt(path, np.column_stack(table), delimiter=",", comments="", fmt="%.9g", header=(
-        "time,Goal_Position,Present_Position,Present_Load,Present_Voltage,Present_Current"))
-    return path
+    return table(path, {"time": run.time_s, "Goal_Position": counts["q1_cmd_rad"], "Present_Position": counts["q1_rad"],
+                        "Present_Load": load, "Present_Voltage": np.full(len(run), 121.0),
+                        "Present_Current": np.full(len(run), 7.0)}, 9)
 
 
 def dynamixel(path: Path, run: Dataset) -> Path:
     """Registers of an XL330 as they are read: 32 and 16 bits, negative numbers as large ones."""
-    position = np.mod(np.round(run["q1_rad"] * 4096 / (2.0 * np.pi)), 2.0**32)
+    position, goal = (np.mod(np.round(run[name] * 4096 / (2.0 * np.pi)), 2.0**32) for name in ("q1_rad", "q1_cmd_rad"))
     pwm = np.mod(np.round(885 * np.clip(run["q1_cmd_rad"] - run["q1_rad"], -1.0, 1.0)), 2.0**16)
-    goal = np.mod(np.round(run["q1_cmd_rad"] * 4096 / (2.0 * np.pi)), 2.0**32)
-    np.savetxt(path, np.column_stack([run.time_s, position, goal, pwm, np.full(len(run), 50.0)]), delimiter=",",
-               comments="", fmt="%.12g", header="time,present_position,goal_position,present_pwm,present_input_voltage")
-    return path
+    return table(path, {"time": run.time_s, "present_position": position, "goal_position": goal, "present_pwm": pwm,
+                        "present_input_voltage": np.full(len(run), 50.0)})

@@ -41,16 +41,16 @@ class ServoFaults:
     """The log has the angle that the loop hears times one plus this."""
 
 
-def follow(leg: Leg, rng: np.random.Generator, *, gain: float, damping: float = 0.0, limit: float = np.inf,
+def follow(leg: Leg, rng: np.random.Generator | int, *, gain: float, damping: float = 0.0, limit: float = np.inf,
            amplitude: float = 0.8, seconds: float = 15.0, rate_hz: float = 100.0, rounding: float = 0.02,
            loop_hz: float = 1000.0, faults: ServoFaults = ServoFaults(), high: float = 2.0,
            law: Callable[..., tuple[float, float]] | None = None,
            name: str = "run") -> Dataset:
     """The servo gives gain (cmd - q) - damping qd within +-limit, by its own encoder of COUNTS a turn.
 
-    `law` adds torques on pivot and knee by both angles, both rates and the servo's torque.
+    `law` adds torques on pivot and knee by both angles, both rates and the servo's torque. `rng` may be a seed.
     """
-    model = leg.model(STEP_S)
+    model, rng = leg.model(STEP_S), np.random.default_rng(rng)
     data = mujoco.MjData(model)
     n, sub, every = int(seconds * rate_hz), round(1.0 / (rate_hz * STEP_S)), round(1.0 / (loop_hz * STEP_S))
     ticks = np.arange(n * sub) * STEP_S

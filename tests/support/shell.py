@@ -2,13 +2,17 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 
 from experiments import cli
+
+Answers = Callable[..., list[str]]
 
 
 def typed(*words: object, status: int = 0) -> None:
@@ -22,7 +26,17 @@ def document(*words: object, status: int = 0) -> Any:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "document.json"
         typed(*words, "--json", path, status=status)
-        return json.loads(path.read_text())
+        return read_json(path)
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds."""
+    return json.loads(path.read_text())
+
+
+def values(found: Any) -> np.ndarray:
+    """Values of the parameters in the document of a fit."""
+    return np.array([parameter["value"] for parameter in found["parameters"]])
 
 
 class Shell:

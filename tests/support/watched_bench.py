@@ -12,6 +12,7 @@ import numpy as np
 
 from daq import parse_rig
 from daq.recording import ALIVE, PACKET_BYTES, Ended, Heard, Plan, Remote, Status, record_run, watched_by
+from daq.runs import read_run
 from drivers import LegController, Lsm9ds1
 from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from tests.support.still_plant import StillPlant
@@ -31,10 +32,16 @@ class Bench:
         self.imu.open()
         t = np.arange(0.0, seconds, 0.01)
         self.plan = Plan(t, np.full(t.size, 0.4))
+        folder.mkdir(exist_ok=True)
         self.path = folder / "run.mcap"
         self.watcher, self.line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.watcher.setblocking(False)
         self.packets: list[Status | Heard | Ended] = []
+
+    def ramped(self) -> bool:
+        """Whether the torque passed through values between the plan's and zero."""
+        commanded = read_run(self.path).streams["/leg/command"]["torque_nm"]
+        return bool(((commanded > 0) & (commanded < 0.4)).any())
 
     def record(self, happens: Callable[[float, Remote], None] = lambda now_s, remote: None) -> None:
         """Under `watched_by`, as the command does it; `happens` is called before every command of the plan."""

@@ -17,6 +17,7 @@ from drivers.mock import ImuSettings, MockRig, VirtualClock
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from experiments.calibrate import store
 from experiments.calibrate.outcome import Outcome
+from tests.support.motor_off_runs import IMU_HZ, add_imu
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
 from tests.support.still_plant import StillPlant
@@ -54,9 +55,12 @@ def still(axis: str, seed: int = 0, seconds: float = 20.0, rate: float = 240.0) 
                        DISTORTION @ up(axis) + BIAS + 0.05 * rng.standard_normal((n, 3)))
 
 
+def six_records() -> list[StillRecord]:
+    return [still(axis, k) for k, axis in enumerate(AXES)]
+
+
 def test_six_positions_give_bias_and_matrix_in_any_order() -> None:
-    records = [still(axis, k) for k, axis in enumerate(AXES)]
-    found = calibrate_accel(records[::-1], G)
+    found = calibrate_accel(six_records()[::-1], G)
     # each position's mean has 0.05 / sqrt(4800) = 7e-4 of noise
     assert_allclose(found.bias_mps2, BIAS, atol=2e-3)
     assert_allclose(found.matrix @ DISTORTION, np.eye(3), atol=3e-4)
@@ -64,23 +68,21 @@ def test_six_positions_give_bias_and_matrix_in_any_order() -> None:
 
 
 def test_calibrated_readings_are_gravity() -> None:
-    found = calibrate_accel([still(axis, k) for k, axis in enumerate(AXES)], G)
+    found = calibrate_accel(six_records(), G)
     rig = parse_rig(set_values(RIG, {"calibration": {"accel_bias_mps2": found.bias_mps2.tolist(),
                                           "accel_matrix": found.matrix.tolist()}}))
     tilted = np.array([3.0, -2.0, 9.0])
     scale = (1e-3, 1e-4)
     counts = np.rint(np.hstack([np.zeros(3), (DISTORTION @ tilted + BIAS) / scale[1]])).astype(int)[None, :]
     columns = imu_columns(counts, scale, rig.calibration)
-    assert columns["accel_x_mps2"][0] == pytest.approx(3.0, abs=5e-3)
-    assert columns["accel_y_mps2"][0] == pytest.approx(-2.0, abs=5e-3)
+    assert [columns[f"accel_{axis}_mps2"][0] for axis in "xy"] == pytest.approx([3.0, -2.0], abs=5e-3)
 
 
 def test_what_is_missing_doubled_moved_or_tilted_is_said() -> None:
-    records = {axis: still(axis, k) for k, axis in enumerate(AXES)}
     with pytest.raises(WorkError, match=r"six positions are needed, -z up missing"):
-        calibrate_accel([records[a] for a in AXES[:5]], G)
+        calibrate_accel(six_records()[:5], G)
     with pytest.raises(WorkError, match=r"position \+x is there twice"):
-        calibrate_accel([records["+x"], still("+x", 9)], G)
+        calibrate_accel([still("+x"), still("+x", 9)], G)
     moved = still("+z")
     moved.gyro_radps[2000:2400, 1] += 0.3
     with pytest.raises(WorkError, match=r"moved about 8\.\d s into the record"):
@@ -95,9 +97,7 @@ def test_what_is_missing_doubled_moved_or_tilted_is_said() -> None:
 
 def test_rig_text_keeps_everything_else() -> None:
     new = set_values(RIG, {"calibration": {"accel_bias_mps2": [0.1, 0.2, 0.3], "gyro_bias_radps": [0.0, 0.0, 0.01]}})
-    assert "# measured on the bench" in new
-    assert "# the gearbox" in new
-    assert "an old one" not in new
+    assert "# measured on the bench" in new and "# the gearbox" in new and "an old one" not in new
     before, after = parse_rig(RIG), parse_rig(new)
     assert after.calibration.accel_bias_mps2 == (0.1, 0.2, 0.3)
     assert after.calibration.knee_zero_rad == 0.1
@@ -137,31 +137,21 @@ def test_rig_text_written_otherwise_is_refused_not_spoilt() -> None:
         set_values(inline, {"calibration": {"gyro_bias_radps": [1.0, 2.0, 3.0]}})
 
 
-def write_still(path: Path, axis: str, seed: int) -> None:
-    """A run file of an IMU lying still, 20 s at 238 Hz, drained every 12.6 ms."""
-    config = ImuConfig()
-    gyro, accel = config.scale
-    writer = RunWriter(path, {"rig.toml": RIG})
-    facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": 238.0}
-    writer.config(0, "imu", msgspec.json.encode(facts).decode())
-    record = still(axis, seed, 20.0, 238.0)
-    counts = np.rint(np.hstack([record.gyro_radps / gyro, record.accel_mps2 / accel])).astype(int)
-    for i, row in enumerate(counts.tolist()):
-        drained = 10**9 + (int(i / 238 / 0.0126) + 1) * 12_600_000
-        writer.add("/imu", drained, drained, drained + 90_000, i, *row, 0)
+def write_still(path: Path, axis: str, seed: int) -> Path:
+    """A run file of an IMU lying still for 20 s."""
+    writer, record = RunWriter(path, {"rig.toml": RIG}), still(axis, seed, 20.0, IMU_HZ)
+    add_imu(writer, np.hstack([record.gyro_radps, record.accel_mps2]))
     writer.close()
+    return path
 
 
-def test_the_command_on_six_files(tmp_path: Path, shell: Shell) -> None:
-    rig = tmp_path / "rig.toml"
+def test_the_command_on_six_files(here: Path, shell: Shell) -> None:
+    rig = here / "rig.toml"
     rig.write_text(RIG)
-    paths = []
-    for k, axis in enumerate(AXES):
-        paths.append(str(tmp_path / f"{k}.mcap"))
-        write_still(Path(paths[-1]), axis, k)
-    shell("calibrate imu", *paths, "--rig", rig, "--dry-run")
+    paths = [write_still(here / f"{k}.mcap", axis, k) for k, axis in enumerate(AXES)]
+    shell("calibrate imu", *paths, "--rig rig.toml --dry-run")
     assert rig.read_text() == RIG
-    shell("calibrate imu", *paths, "--rig", rig)
+    shell("calibrate imu", *paths, "--rig rig.toml")
     out = shell.out
     assert "gyro x" in out and "density" in out
     found = load_rig(rig).calibration
@@ -171,7 +161,7 @@ def test_the_command_on_six_files(tmp_path: Path, shell: Shell) -> None:
     left = load_rig(rig).tolerances  # of the bias alone, both axes alike, far below the default of 0.1
     assert set(left) == {"accelerometer_bias"}
     assert left["accelerometer_bias"][0] == left["accelerometer_bias"][1] < 0.01
-    assert "one still record, or six" in shell.fails("calibrate imu", *paths[:2], "--rig", rig)
+    assert "one still record, or six" in shell.fails("calibrate imu", *paths[:2], "--rig rig.toml")
 
 
 class Bench:
@@ -191,22 +181,22 @@ class Bench:
             self.next_ns += 1e9 / self.chip.rate_hz
 
 
-def test_the_command_on_the_chip_itself(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench, rig = Bench(), tmp_path / "rig.toml"
+def test_the_command_on_the_chip_itself(here: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, rig = Bench(), here / "rig.toml"
     rig.write_text(RIG + "[devices.imu]\n")
     monkeypatch.setattr("experiments.rig.devices.open_bus", lambda path: bench.chip)
     now_ns, sleep = bench.clock.now_ns, bench.clock.sleep  # the clocks that the command takes by default
     monkeypatch.setattr(Lsm9ds1.__init__, "__defaults__", (0x6B, None, now_ns, 400.0, sleep))
     monkeypatch.setattr(SelfTest.__init__, "__defaults__", (sleep, now_ns))
     monkeypatch.setattr("experiments.calibrate.imu.time", SimpleNamespace(monotonic_ns=now_ns, sleep=sleep))
-    shell("calibrate imu --rig", rig, "--seconds 20 --self-test")
+    shell("calibrate imu --rig rig.toml --seconds 20 --self-test")
     out = shell.out
     assert "accelerometer passed" in out and "gyroscope passed" in out
     assert_allclose(load_rig(rig).calibration.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
     bench.chip.self_test_dps = 0.0
-    assert "self-test failed" in shell.fails("calibrate imu --rig", rig, "--seconds 20 --self-test", status=1)
+    assert "self-test failed" in shell.fails("calibrate imu --rig rig.toml --seconds 20 --self-test", status=1)
     rig.write_text(RIG)
-    shell("calibrate imu --rig", rig, status=2)
+    shell("calibrate imu --rig rig.toml", status=2)
 
 
 def test_an_emulated_chip_errs_by_what_the_calibration_takes_out() -> None:

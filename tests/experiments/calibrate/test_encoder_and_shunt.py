@@ -1,6 +1,5 @@
 """`legid calibrate encoder` and `shunt`: against closed forms, and stops of a simulated leg."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,14 @@ from drivers.mock import FirmwareSettings, MockRig, PtyServer
 from experiments.emulation import LegBody
 from experiments.emulation.plant import LegPlant
 from tests.support.models import LEG, write_model
-from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
+from tests.support.motor_off_runs import RIG, TELEMETRY_HZ, hanging, write_off
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Answers, Shell
 from tests.support.still_plant import StillPlant, StillState
 
 pytestmark = REAL_CLOCK
 
 G = 9.81
-Fails = Callable[..., str]
 
 
 @pytest.fixture
@@ -29,25 +27,6 @@ def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
     return path
-
-
-@pytest.fixture
-def fails(shell: Shell) -> Fails:
-    def run(status: int, *args: str) -> str:
-        shell.read()
-        shell("calibrate", *args, status=status)
-        err = shell.err
-        assert err.count("\n") == 1
-        return err
-    return run
-
-
-def hanging(q1: float, seconds: float = 6.0, seed: int = 0) -> np.ndarray:
-    """(n, 6) of an IMU on a link at rest at q1, mounted along the link's axes."""
-    rng = np.random.default_rng(seed)
-    n = int(seconds * IMU_HZ)
-    still = np.array([0.01, -0.02, 0.03, G * np.sin(q1), -G * np.cos(q1), 0.0])
-    return still + np.repeat([0.005, 0.05], 3) * rng.standard_normal((n, 6))
 
 
 # -- intervals ---------------------------------------------------------------------------------------------------
@@ -86,14 +65,13 @@ def test_a_known_cone_bounds_the_zero_and_is_contradicted_by_stops_too_far_apart
     found = hanging_zero([stop(0.31), stop(0.27)], 0.03)
     assert (found.value, found.half) == pytest.approx((0.29, 0.01), abs=1e-4)  # 0.31 - 0.03 .. 0.27 + 0.03
     assert friction_cone(0.05, 0.1, G) == pytest.approx(np.arcsin(0.05 / 0.981))
-    with pytest.raises(WorkError, match="sticks more than it slides"):
-        hanging_zero([stop(0.34), stop(0.27)], 0.03)
     with pytest.raises(WorkError, match="at any angle"):
         friction_cone(1.2, 0.1, G)
-    with pytest.raises(WorkError, match="3 stops and no known friction"):
-        hanging_zero([stop(v) for v in (0.3, 0.31, 0.29)], None)
-    with pytest.raises(WorkError, match="too uncertain to use"):
-        hanging_zero([stop(v) for v in (0.0, 0.2, 0.1, 0.4)], None)
+    for values, cone, said in (((0.34, 0.27), 0.03, "sticks more than it slides"),
+                               ((0.3, 0.31, 0.29), None, "3 stops and no known friction"),
+                               ((0.0, 0.2, 0.1, 0.4), None, "too uncertain to use")):
+        with pytest.raises(WorkError, match=said):
+            hanging_zero([stop(value) for value in values], cone)
 
 
 def test_a_leg_held_straight_three_times_shows_how_well_it_is_held() -> None:
@@ -123,10 +101,10 @@ def simulated_stops(count: int) -> list[tuple[float, float]]:
     return stops
 
 
-def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, fails: Fails, shell: Shell) -> None:
+def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, here: Path, shell: Shell) -> None:
     zero, step = 0.215, 2 * np.pi / 8192
     stops = simulated_stops(6)
-    paths = [write_off(tmp_path / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
+    paths = [write_off(here / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
                        readings=hanging(q1, seed=k)) for k, (q1, q2) in enumerate(stops)]
     shell("calibrate encoder", *paths, "--rig", rig)
     out, err = shell.read()
@@ -140,30 +118,30 @@ def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, 
     assert left == pytest.approx(np.hypot(half / 1.96, 0.1 / G), rel=0.05)
     text = rig.read_text()
     assert "# nothing measured yet" in text and "ASSUMED" not in text and "# the gearbox" in text
-    assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
+    assert "4 stops reached from either side" in shell.fails("calibrate encoder", *paths[:2], "--rig", rig, status=1)
 
     body = LegBody()
-    write_model(tmp_path / "model.json", list(body.beta()), LEG)
-    shell("calibrate encoder", *paths[:2], "--rig", rig, "--model", tmp_path / "model.json")
+    write_model(here / "model.json", list(body.beta()), LEG)
+    shell("calibrate encoder", *paths[:2], "--rig", rig, "--model model.json")
     cone = np.arcsin(body.coulomb[1] / (body.m2 * body.c2 * G))
     assert f"the model's friction of +- {cone:.3f} rad" in shell.out
     assert load_rig(rig).calibration.knee_zero_rad == pytest.approx(zero, abs=cone)
 
 
-def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path, fails: Fails) -> None:
+def test_encoder_records_that_say_nothing_are_refused(rig: Path, here: Path, shell: Shell) -> None:
     n = int(6 * TELEMETRY_HZ)
-    moved = write_off(tmp_path / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
-    assert "the knee moved about 3.0 s" in fails(1, "encoder", moved, "--straight", "--rig", str(rig))
-    armed = write_off(tmp_path / "armed.mcap", state=1)
-    assert "never off" in fails(1, "encoder", armed, "--straight", "--rig", str(rig))
-    short = write_off(tmp_path / "short.mcap", seconds=0.5)
-    assert "off for 0.5" in fails(1, "encoder", short, "--straight", "--rig", str(rig))
-    blind = write_off(tmp_path / "blind.mcap")
-    assert "--straight" in fails(2, "encoder", blind, "--rig", str(rig))
-    aslant = write_off(tmp_path / "aslant.mcap", readings=hanging(1.4))
-    assert "calibrate mount" in fails(1, "encoder", aslant, "--rig", str(rig))
-    (tmp_path / "r.csv").write_text("time_s\n")
-    assert "not a native run file" in fails(2, "encoder", str(tmp_path / "r.csv"), "--rig", str(rig))
+    write_off(here / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
+    assert "the knee moved about 3.0 s" in shell.fails("calibrate encoder --straight moved.mcap --rig", rig, status=1)
+    write_off(here / "armed.mcap", state=1)
+    assert "never off" in shell.fails("calibrate encoder --straight armed.mcap --rig", rig, status=1)
+    write_off(here / "short.mcap", seconds=0.5)
+    assert "off for 0.5" in shell.fails("calibrate encoder --straight short.mcap --rig", rig, status=1)
+    write_off(here / "blind.mcap")
+    assert "--straight" in shell.fails("calibrate encoder blind.mcap --rig", rig)
+    write_off(here / "aslant.mcap", readings=hanging(1.4))
+    assert "calibrate mount" in shell.fails("calibrate encoder aslant.mcap --rig", rig, status=1)
+    (here / "r.csv").write_text("time_s\n")
+    assert "not a native run file" in shell.fails("calibrate encoder r.csv --rig", rig)
     assert rig.read_text() == RIG
 
 
@@ -192,24 +170,20 @@ def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
 
 # -- from the devices --------------------------------------------------------------------------------------------
 
-def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, shell: Shell,
-                                                    monkeypatch: pytest.MonkeyPatch, fails: Fails) -> None:
+def test_zero_and_offset_from_the_devices_motor_off(here: Path, shell: Shell,
+                                                    answers: Answers) -> None:
     mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
         telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
-    path = tmp_path / "rig.toml"
+    path = here / "rig.toml"
     with PtyServer(mock.firmware, mock.clock) as port:
         path.write_text(RIG + f'\n[devices.controller]\nport = "{port.path}"\nrate_hz = 200\n')
-        shell("calibrate shunt --rig", path, "--seconds 1.5")
-        shell("calibrate encoder --straight --rig", path, "--seconds 1.2")
+        shell("calibrate shunt --rig rig.toml --seconds 1.5")
+        shell("calibrate encoder --straight --rig rig.toml --seconds 1.2")
         assert "motor off" in shell.out
-
-        def nobody(question: str) -> str:
-            raise EOFError
-
-        monkeypatch.setattr("builtins.input", nobody)
-        assert "nobody answers" in fails(2, "encoder", "--rig", str(path))
+        answers()
+        assert "nobody answers" in shell.fails("calibrate encoder --rig rig.toml")
     found = load_rig(path).calibration
     assert found.shunt_offset_a == pytest.approx(0.031, abs=0.004)
     assert found.knee_zero_rad == pytest.approx(0.215, abs=1e-3)
     path.write_text(RIG)
-    assert "[devices.controller]" in fails(2, "shunt", "--rig", str(path))
+    assert "[devices.controller]" in shell.fails("calibrate shunt --rig rig.toml")

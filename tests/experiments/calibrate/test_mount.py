@@ -25,12 +25,13 @@ LEG = Leg(coulomb=(0.005, 0.05))
 GYRO, ACCEL = 0.005, 0.05
 
 
-def swing(q1: float = 0.6, seconds: float = SECONDS) -> np.ndarray:
-    """(n, 4) q1 and the IMU's q1d, a_x, a_y at `IMU_HZ`, of a free leg let go at `q1`."""
+@pytest.fixture(scope="module")
+def motion() -> np.ndarray:
+    """(n, 4) q1 and the IMU's q1d, a_x, a_y at `IMU_HZ`, of a free leg that is let go."""
     model = LEG.model(1.0 / (IMU_HZ * SUBSTEPS))
     data = mujoco.MjData(model)
-    data.qpos[:] = q1, -0.3
-    out = np.empty((int(seconds * IMU_HZ), 4))
+    data.qpos[:] = 0.6, -0.3
+    out = np.empty((int(SECONDS * IMU_HZ), 4))
     for k in range(len(out)):
         for i in range(SUBSTEPS):
             data.qfrc_applied[:] = -np.array(LEG.coulomb) * np.tanh(data.qvel / 3e-3)
@@ -40,11 +41,6 @@ def swing(q1: float = 0.6, seconds: float = SECONDS) -> np.ndarray:
                 out[k] = data.qpos[0], -s[4], s[0], -s[2]  # as in mujoco_leg
             mujoco.mj_step(model, data)
     return out
-
-
-@pytest.fixture(scope="module")
-def motion() -> np.ndarray:
-    return swing()
 
 
 def mount_of(seed: int) -> np.ndarray:
@@ -118,7 +114,7 @@ def test_swings_too_small_are_refused(motion: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("hall_sign", [0, -1])
-def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, hall_sign: int, shell: Shell) -> None:
+def test_the_command_writes_mount_and_lever(motion: np.ndarray, here: Path, hall_sign: int, shell: Shell) -> None:
     rng = np.random.default_rng(4)
     # turned by a quarter and a little, as somebody screwed it on; rig.toml says nothing of it
     true = Rotation.from_euler("zyx", [90.0, 2.0, -3.0], degrees=True).as_matrix()
@@ -129,13 +125,13 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
     if hall_sign:  # the pivot's sensor grows the other way: that is the way q1 is meant to grow
         at = np.arange(int(SECONDS * TELEMETRY_HZ)) / TELEMETRY_HZ
         hall = hall_sign * np.interp(at, np.arange(len(motion)) / IMU_HZ, motion[:, 0])
-    paths = [write_off(tmp_path / "rest.mcap", 6.3, readings=rest),
-             write_off(tmp_path / "swing.mcap", SECONDS, readings=swung, hall_rad=hall)]
-    rig = tmp_path / "rig.toml"
+    paths = [write_off(here / "rest.mcap", 6.3, readings=rest),
+             write_off(here / "swing.mcap", SECONDS, readings=swung, hall_rad=hall)]
+    rig = here / "rig.toml"
     rig.write_text(RIG)
-    shell("calibrate mount", *paths, "--rig", rig, "--dry-run")
+    shell("calibrate mount", *paths, "--rig rig.toml --dry-run")
     assert rig.read_text() == RIG
-    shell("calibrate mount", *paths, "--rig", rig)
+    shell("calibrate mount", *paths, "--rig rig.toml")
     out = shell.out
     found = load_rig(rig)
     wanted = true * (np.array([[-1.0], [1.0], [-1.0]]) if hall_sign else 1.0)
@@ -149,5 +145,5 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
     assert msgspec.structs.replace(found.calibration, imu_mount=Calibration().imu_mount,
                                    torque_constant_nm_per_a=1.0) == Calibration()
 
-    assert "the leg swings in no record" in shell.fails("calibrate mount", paths[0], "--rig", rig, status=1)
-    assert "leg hanging still" in shell.fails("calibrate mount", paths[1], "--rig", rig, status=1)
+    assert "the leg swings in no record" in shell.fails("calibrate mount", paths[0], "--rig rig.toml", status=1)
+    assert "leg hanging still" in shell.fails("calibrate mount", paths[1], "--rig rig.toml", status=1)

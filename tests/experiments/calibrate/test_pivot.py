@@ -8,7 +8,7 @@ import pytest
 
 from daq import load_rig
 from daq.runs import RunWriter
-from tests.support.motor_off_runs import RIG
+from tests.support.motor_off_runs import RIG, add_imu, hanging
 from tests.support.shell import Shell, typed
 
 TABLE = "[devices.pivot]\nsign = {sign}\n"
@@ -22,12 +22,7 @@ def write_stop(path: Path, reading_rad: float, q1_rad: float | None = None, stat
         t_ns, angle = 10**9 + k * 5_000_000, reading_rad + drift * k / 2000 + 7e-4 * rng.standard_normal()
         writer.add("/pivot", t_ns, t_ns, t_ns + 200_000, round(angle / math.tau * 4096) % 4096, 2000, status, 64)
     if q1_rad is not None:
-        writer.config(0, "imu", '{"gyro_radps_per_lsb": 3e-4, "accel_mps2_per_lsb": 1.2e-3, "rate_hz": 238.0}')
-        accel = 9.81 * np.array([math.sin(q1_rad), -math.cos(q1_rad), 0.0])
-        for k in range(2380):
-            t_ns = 10**9 + int(k / 238.0 * 1e9)
-            counts = np.rint((accel + 0.03 * rng.standard_normal(3)) / 1.2e-3).astype(int).tolist()
-            writer.add("/imu", t_ns, t_ns, t_ns + 90_000, k, *rng.integers(-3, 4, 3).tolist(), *counts, 0)
+        add_imu(writer, hanging(q1_rad, 10.0, seed))
     writer.close()
     return str(path)
 
@@ -44,7 +39,7 @@ def test_the_imu_tells_where_link_1_hangs(tmp_path: Path, sign: int, shell: Shel
     """The chip's wrap lies among the readings: their mean is that of angles, not of counts."""
     zero = sign * 0.002 if sign > 0 else 3.14
     runs = [write_stop(tmp_path / f"{k}.mcap", sign * (zero + q1), q1, seed=k)
-            for k, q1 in enumerate([0.05, -0.04, 0.02])]
+            for k, q1 in enumerate([0.052, -0.04, 0.02])]
     found = calibrate(tmp_path, sign, *runs)
     assert math.remainder(found - zero, math.tau) == pytest.approx(0.0, abs=1e-3)
     assert load_rig(tmp_path / "rig.toml").tolerances["encoder_offset@1"][0] == pytest.approx(0.1 / 9.81, rel=0.1)
@@ -61,8 +56,8 @@ def test_without_an_imu_the_leg_is_taken_to_hang_straight(tmp_path: Path, shell:
 
 @pytest.mark.parametrize("more, status, line", [
     ({"status": 0}, 2, "holds 0 valid readings of a pivot sensor"), ({"drift": 0.1}, 1, "the pivot moved by 0.")])
-def test_what_is_no_rest_is_refused(tmp_path: Path, shell: Shell, more: dict, status: int, line: str) -> None:
-    (tmp_path / "rig.toml").write_text(RIG)
-    run = write_stop(tmp_path / "a.mcap", 1.2, **more)
-    shell("calibrate pivot", run, "--rig", tmp_path / "rig.toml", status=status)
+def test_what_is_no_rest_is_refused(here: Path, shell: Shell, more: dict, status: int, line: str) -> None:
+    (here / "rig.toml").write_text(RIG)
+    write_stop(here / "a.mcap", 1.2, **more)
+    shell("calibrate pivot a.mcap --rig rig.toml", status=status)
     assert line in shell.err

@@ -6,17 +6,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import Calibration, Dataset, InputError, load_rig, parse_rig
+from daq import Calibration, InputError, load_rig, parse_rig
 from estimator.calibration import Weight
 from experiments.calibrate import calibrate_torque_constant
 from experiments.calibrate.torque_constant import find_holds
 from experiments.workflows.diagnose import with_known_gain
 from tests.support.hold_runs import Truth, hold_run
-from tests.support.imported_files import table_of
+from tests.support.imported_files import rows_of, table_of
+from tests.support.runs import with_columns, without
 from tests.support.shell import Shell
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[calibration]\ntorque_constant_nm_per_a = 0.85  # by the sheet\n'
 WEIGHT = Weight(0.5, 0.25, 0.0005, 0.0005)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG)
+    return path
 
 
 def found(truth: Truth, seed: int = 1, columns: str = "imu") -> tuple[float, float]:
@@ -54,7 +62,7 @@ def test_holds_that_move_or_come_back_are_left_out() -> None:
     knee = run["q2_rad"].copy()
     knee[650:700] += np.linspace(0.0, 0.05, 50)  # the first hold behind the first ramp: it creeps
     knee[1050:1100] += 0.03  # the second: it swings beyond where it comes to rest
-    left = find_holds(Dataset("r", run.rate_hz, run.time_s, {**run.columns, "q2_rad": knee}), parse_rig(RIG))
+    left = find_holds(with_columns(run, q2_rad=knee), parse_rig(RIG))
     assert left.left_out == 4 and left.current.size == 12
 
 
@@ -62,14 +70,12 @@ def test_holds_that_move_or_come_back_are_left_out() -> None:
                                               ("accel_y_mps2", "has no column accel_y")])
 def test_a_run_without_a_column_is_refused(column: str, line: str) -> None:
     run = hold_run(Truth(), np.random.default_rng(1))
-    columns = {name: values for name, values in run.columns.items() if name != column}
     with pytest.raises(InputError, match=line):
-        find_holds(Dataset("r", run.rate_hz, run.time_s, columns), parse_rig(RIG))
+        find_holds(without(run, column), parse_rig(RIG))
 
 
-def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: Path, shell: Shell) -> None:
-    rng, rig = np.random.default_rng(2), tmp_path / "rig.toml"
-    rig.write_text(RIG)
+def test_the_command_writes_constant_and_interval_and_keeps_comments(rig: Path, tmp_path: Path, shell: Shell) -> None:
+    rng = np.random.default_rng(2)
     bare, weighted = (table_of(hold_run(Truth(), rng, m), tmp_path / f"{m}.csv") for m in (0.0, 0.5))
     order = "calibrate shunt", bare, "--weighted", weighted, "--weight 0.5 --arm 0.25 --rig", rig
     shell(*order, "--dry-run")
@@ -86,12 +92,11 @@ def test_the_command_writes_constant_and_interval_and_keeps_comments(tmp_path: P
 
 
 @pytest.mark.parametrize("more, line", [
-    (["--weight", "0.5"], "--arm: is None"), (["--weight", "-1", "--arm", "0.2"], "--weight: is -1"),
-    (["--weight", "1", "--arm", "0.2"], "holds with the weight and without it are needed"),
-    (["--weight", "1", "--arm", "0.2", "--arm-error", "-1"], "--arm-error: is -1")])
-def test_what_is_missing_is_asked_for(tmp_path: Path, shell: Shell, more: list[str], line: str) -> None:
-    (tmp_path / "rig.toml").write_text(RIG)
-    assert line in shell.fails("calibrate shunt --rig", tmp_path / "rig.toml", *more)
+    ("--weight 0.5", "--arm: is None"), ("--weight -1 --arm 0.2", "--weight: is -1"),
+    ("--weight 1 --arm 0.2", "holds with the weight and without it are needed"),
+    ("--weight 1 --arm 0.2 --arm-error -1", "--arm-error: is -1")])
+def test_what_is_missing_is_asked_for(rig: Path, shell: Shell, more: str, line: str) -> None:
+    assert line in shell.fails("calibrate shunt --rig", rig, more)
 
 
 def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
@@ -101,11 +106,10 @@ def test_the_data_sheet_s_constant_counts_until_one_is_measured() -> None:
         torque_constant_nm_per_a=0.9)
 
 
-def test_the_staircase_reaches_every_level_from_both_sides(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "rig.toml").write_text(RIG)
-    plan = tmp_path / "plan.csv"
-    shell("excite --rig", tmp_path / "rig.toml", "--holds 3 --peak 0.9 --out", plan)
-    torque = np.loadtxt(plan, delimiter=",", skiprows=1)[:, 1]
+def test_the_staircase_reaches_every_level_from_both_sides(rig: Path, here: Path, shell: Shell) -> None:
+    plan = here / "plan.csv"
+    shell("excite --rig", rig, "--holds 3 --peak 0.9 --out plan.csv")
+    torque = rows_of(plan)[:, 1]
     held = torque[1:][np.diff(torque) == 0.0].tolist()
     levels = [held[0], *(b for a, b in pairwise(held) if a != b)]
     assert levels == pytest.approx([0.0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0, -0.3, -0.6, -0.9, -0.6, -0.3, 0.0])

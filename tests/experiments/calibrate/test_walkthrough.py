@@ -16,7 +16,7 @@ from experiments.emulation import ServedRig
 from tests.support.motor_off_runs import RIG
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
-from tests.support.shell import Shell
+from tests.support.shell import Answers, Shell
 
 pytestmark = REAL_CLOCK
 
@@ -93,17 +93,17 @@ def test_a_walk_with_a_failure_and_steps_left_out(tmp_path: Path) -> None:
     assert "# not yet known" in served.rig_path.read_text()
 
 
-def test_no_terminal_no_devices_and_an_early_end(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "rig.toml"
+def test_no_terminal_no_devices_and_an_early_end(here: Path, shell: Shell, answers: Answers,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    path = here / "rig.toml"
     path.write_text(RIG + '\n[devices.imu]\nbus = "/dev/i2c-1"\n')
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-    shell("calibrate all --rig", path, status=2)
+    shell("calibrate all --rig rig.toml", status=2)
     assert "not a terminal" in (error := shell.err) and error.count("\n") == 1
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda question: "s")
-    shell("calibrate all --rig", path)
+    answers(*"ssss")
+    shell("calibrate all --rig rig.toml")
     assert shell.out.count("has no [devices.controller]") == 2
-    monkeypatch.setattr("builtins.input", lambda question: "q")
-    shell("calibrate all --rig", path)
+    answers("q")
+    shell("calibrate all --rig rig.toml")
     assert "Step 2" not in (said := shell.out) and "stopped here" in said
     assert path.read_text().startswith(RIG)

@@ -19,7 +19,7 @@ from tests.support.models import write_model
 from tests.support.packed_runs import stuck
 from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
-from tests.support.shell import Shell, document
+from tests.support.shell import Shell, document, read_json
 
 RIG = ROOT / "studies/rigs/dfki_diagnose.toml"
 ARM = REAL / "dfki_a0"
@@ -40,14 +40,14 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, shell: Shell) -> None
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
 
 
-def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, shell: Shell) -> None:
-    files, rig = leg_runs(tmp_path, MAKERS["gyro_scale"][0](1.0))
+def test_a_model_is_as_good_a_reference_as_its_runs(here: Path, shell: Shell) -> None:
+    files, rig = leg_runs(here, MAKERS["gyro_scale"][0](1.0))
     earlier, runs = files[:REFERENCE], files[REFERENCE : REFERENCE + 2]
     prepared = prepare(earlier, load_rig(rig))
-    path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
+    path = write_model(here / "model.json", [0.1] * prepared.setup.mechanism.p,
                        structs.asdict(prepared.setup.settings))
     words = "diagnose", *runs, "--rig", rig, "--against"
-    assert "does not hold how much its runs scatter; give the runs" in shell.fails(*words, path)
+    assert "does not hold how much its runs scatter; give the runs" in shell.fails(*words, "model.json")
     model = structs.replace(load_model(path), gear_ratio=prepared.setup.gear_ratio)
     save_model(as_reference(model, prepared), path)
     first, second = (document(*words, *reference) for reference in (earlier, [path]))
@@ -58,13 +58,13 @@ def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, shell: Shell
         assert other["p_value"] == pytest.approx(one["p_value"], rel=1e-6)
     assert first["held_out"]["gain"] == pytest.approx(second["held_out"]["gain"], rel=1e-6)
     assert second["against"]["sources"][0]["file"] == second["provenance"]["model"]["file"] == "model.json"
-    broken = json.loads(path.read_text())
+    broken = read_json(path)
     broken["reference"]["columns"][3] = "another"
     path.write_text(json.dumps(broken))
-    assert "another library of effects" in shell.fails(*words, path)
-    assert "is not the only reference" in shell.fails(*words, path, *earlier)
+    assert "another library of effects" in shell.fails(*words, "model.json")
+    assert "is not the only reference" in shell.fails(*words, "model.json", *earlier)
     rig.write_text(rig.read_text() + "\n[terms]\nencoder_zero = [2]\n")
-    assert "does not hold the encoders' zeros" in shell.fails(*words, path)
+    assert "does not hold the encoders' zeros" in shell.fails(*words, "model.json")
 
 
 def late(source: Path, target: Path, seconds: float) -> None:
@@ -80,16 +80,16 @@ def late(source: Path, target: Path, seconds: float) -> None:
 
 
 @pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
-def test_sessions_as_folders_and_as_runs(tmp_path: Path, shell: Shell) -> None:
-    before, after = tmp_path / "before", tmp_path / "after"
+def test_sessions_as_folders_and_as_runs(here: Path, shell: Shell) -> None:
+    before, after = here / "before", here / "after"
     before.mkdir()
     after.mkdir()
     first = [shutil.copy(ARM / f"{run}.csv.gz", before) for run in ("00", "02")]
     plain = [ARM / f"{run}.csv.gz" for run in ("01", "03")]
     for run in plain:
         late(run, after / run.name, 0.02)
-    page = tmp_path / "page.html"
-    found = document("compare", before, after, "--rig", RIG, "--html", page)
+    page = here / "page.html"
+    found = document("compare before after --rig", RIG, "--html page.html")
     said = shell.out
     assert said.startswith("Different: torque_delay, delay 0.0") and "\n\nFrom before to after:" in said
     (pair,), files = found["pairs"], found["provenance"]["runs"]
@@ -103,7 +103,7 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, shell: Shell) -> None:
     outside = Outside()
     outside.feed(html)
     assert outside.found == [] and outside.scripts == 0
-    shell("compare", *first, "--with", *plain, "--with", after, "--rig", RIG)
+    shell("compare", *first, "--with", *plain, "--with after --rig", RIG)
     rows = [line.split()[:3] for line in shell.out.splitlines()]
     assert ["A", "B", "no_change"] in rows and ["A", "C", "named"] in rows
 

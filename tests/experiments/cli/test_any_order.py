@@ -112,9 +112,8 @@ def check_files(folder: Path, parts: bool) -> None:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), *(
     pytest.param(seed, marks=pytest.mark.study) for seed in range(2, 8))])
 def test_what_is_left_is_whole_and_the_next_command_takes_it(
-        seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_logs(tmp_path)
+        seed: int, here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_logs(here)
     rng = np.random.default_rng(seed)
     stopped = killed = 0
     for name in ["import", *rng.choice(list(COMMANDS), 7, p=(0.35, 0.2, 0.1, 0.15, 0.2))]:
@@ -131,9 +130,9 @@ def test_what_is_left_is_whole_and_the_next_command_takes_it(
             assert len(said) == (status != 0) and "internal error" not in str(said), said
         if status == 2:
             assert any(f"{lacking}: " in said[0] for lacking in [*RUNS, "model.json"]), said
-        check_files(tmp_path, killed > 0)
+        check_files(here, killed > 0)
     assert stopped + killed
     for name in ("import", "tune", "fit", "validate", "diagnose", "validate"):
         assert main(COMMANDS[name]) == 0, capfd.readouterr().err
-    check_files(tmp_path, killed > 0)
-    assert sum(path.suffix != ".part" for path in tmp_path.rglob("*") if path.is_file()) == 16
+    check_files(here, killed > 0)
+    assert sum(path.suffix != ".part" for path in here.rglob("*") if path.is_file()) == 16

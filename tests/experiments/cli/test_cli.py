@@ -24,7 +24,7 @@ from experiments.models import save_model
 from tests.support.extended_models import model_with
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT
-from tests.support.processes import REAL_CLOCK
+from tests.support.processes import REAL_CLOCK, ran
 from tests.support.shell import Shell, typed
 
 pytestmark = REAL_CLOCK
@@ -41,6 +41,11 @@ def model_file(module_path: Path) -> Path:
     return path
 
 
+def plan_file(folder: Path, torque_nm: np.ndarray) -> None:
+    """A second of these torques."""
+    write_plan(Plan(np.arange(100) / 100.0, torque_nm), folder / "plan.csv")
+
+
 # -- help and arguments ------------------------------------------------------------------------------------
 
 
@@ -51,8 +56,8 @@ def test_the_order_of_help_names_commands() -> None:
 def test_help_loads_nothing_heavy() -> None:
     script = ("import sys; from experiments.cli import main; status = main(['--help']); "
               f"print(sorted({HEAVY!r} & set(sys.modules)), file=sys.stderr); sys.exit(status)")
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 0 and done.stderr.strip() == "[]"
+    done = ran("-c", script)
+    assert done.stderr.strip() == "[]"
     for name in COMMANDS:
         assert name.rstrip("_").replace("_", "-") in done.stdout
 
@@ -83,10 +88,9 @@ def test_bad_arguments(args: str, shell: Shell) -> None:
     "validate none.json none.csv --rig none.toml", "simulate none.json --plan none.csv --out x",
     "fit none.csv --rig none.toml", "record --rig none.toml --plan none.csv --out x.mcap",
     "diagnose none.csv --rig none.toml"])
-def test_missing_files_are_named(args: str, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_missing_files_are_named(args: str, shell: Shell, here: Path) -> None:
     assert "none." in shell.fails(args)
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize("error", [FitError("cannot\nbe fitted"), WorkError("tripped"), LinkLost("gone"),
@@ -126,60 +130,59 @@ def test_info_tells_streams_losses_clocks_and_rig(demo_run: Path, shell: Shell) 
         assert word in text
 
 
-def test_info_of_a_csv(tmp_path: Path, shell: Shell) -> None:
+def test_info_of_a_csv(here: Path, shell: Shell) -> None:
     rows = "".join(f"{k / 100 + (0.5 if k > 60 else 0)},{k},x\n" for k in range(100))
-    (tmp_path / "a.csv").write_text("time_s,q2_rad,note\n" + rows)
-    shell("info", tmp_path / "a.csv")
+    (here / "a.csv").write_text("time_s,q2_rad,note\n" + rows)
+    shell("info a.csv")
     text = shell.out
     assert "100 samples" in text and "100 Hz" in text and "gaps: 1, longest 0.51 s" in text and "ignored: note" in text
 
 
-def test_recover_saves_what_a_crash_left(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
-    cut = tmp_path / "cut.mcap"
+def test_recover_saves_what_a_crash_left(demo_run: Path, here: Path, shell: Shell) -> None:
+    cut = here / "cut.mcap"
     data = demo_run.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
-    shell("info", cut)
+    shell("info cut.mcap")
     assert "cut off" in shell.out
-    shell("recover", cut)
+    shell("recover cut.mcap")
     assert "was cut off" in shell.out
-    saved = read_run(tmp_path / "cut.recovered.mcap")
+    saved = read_run(here / "cut.recovered.mcap")
     assert saved.complete and 0.4 < saved.messages / read_run(demo_run).messages < 0.8
-    assert "exists already" in shell.fails("recover", cut)
+    assert "exists already" in shell.fails("recover cut.mcap")
     assert cut.read_bytes() == data[: len(data) * 2 // 3]
 
 
-def test_exports_agree(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
+def test_exports_agree(demo_run: Path, here: Path, shell: Shell) -> None:
     scipy_io, parquet = pytest.importorskip("scipy.io"), pytest.importorskip("pyarrow.parquet")
     for kind in ("csv", "parquet", "mat"):
-        shell("export", demo_run, "--to", kind, "--out", tmp_path / f"r.{kind}")
-    table = read_csv(tmp_path / "r.csv")
+        shell("export", demo_run, "--to", kind, f"--out r.{kind}")
+    table = read_csv(here / "r.csv")
     assert {"q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "q1_rad"} <= set(table.columns)
-    columns = parquet.read_table(tmp_path / "r.parquet").to_pydict()
-    matlab = scipy_io.loadmat(tmp_path / "r.mat")
+    columns = parquet.read_table(here / "r.parquet").to_pydict()
+    matlab = scipy_io.loadmat(here / "r.mat")
     for name in ("q2_rad", "accel_y_mps2"):
         np.testing.assert_allclose(columns[name], table.columns[name], rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(matlab[name][:, 0], table.columns[name], rtol=1e-10, atol=1e-12)
 
 
-def test_export_of_a_csv_at_another_rate(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
-    shell("export", demo_run, "--to csv --out", tmp_path / "a.csv")
-    shell("export", tmp_path / "a.csv", "--to csv --rate 50 --out", tmp_path / "b.csv")
-    half, full = read_csv(tmp_path / "b.csv"), read_csv(tmp_path / "a.csv")
+def test_export_of_a_csv_at_another_rate(demo_run: Path, here: Path, shell: Shell) -> None:
+    shell("export", demo_run, "--to csv --out a.csv")
+    shell("export a.csv --to csv --rate 50 --out b.csv")
+    half, full = read_csv(here / "b.csv"), read_csv(here / "a.csv")
     assert half.time_s.size == pytest.approx(full.time_s.size / 5, abs=2)
 
 
-def test_output_that_cannot_be_written(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
+def test_output_that_cannot_be_written(demo_run: Path, here: Path, shell: Shell) -> None:
     for kind in ("csv", "mat", "parquet"):
-        assert "no/where" in shell.fails("export", demo_run, "--to", kind, "--out", tmp_path / "no/where")
+        assert "no/where" in shell.fails("export", demo_run, "--to", kind, "--out no/where")
 
 
 # -- simulation --------------------------------------------------------------------------------------------
 
 
-def test_start_must_fit_the_mechanism(model_file: Path, tmp_path: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
-    assert "--start" in shell.fails("simulate", model_file, "--plan", tmp_path / "p.csv", "--start 1,2,3 --out",
-                                    tmp_path / "r.csv")
+def test_start_must_fit_the_mechanism(model_file: Path, here: Path, shell: Shell) -> None:
+    plan_file(here, np.zeros(100))
+    assert "--start" in shell.fails("simulate", model_file, "--plan plan.csv --start 1,2,3 --out r.csv")
 
 
 # -- recording ---------------------------------------------------------------------------------------------
@@ -200,8 +203,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
-    t = np.arange(100) / 100.0
-    write_plan(Plan(t, 0.2 * np.sin(2 * np.pi * t)), bench / "plan.csv")
+    plan_file(bench, 0.2 * np.sin(2 * np.pi * np.arange(100) / 100.0))
     args = "record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap"
     shell(*args)
     assert "torque commands" in shell.out
@@ -212,31 +214,31 @@ def test_record_over_a_serial_port(bench: Path, shell: Shell) -> None:
 
 
 def test_record_refuses_a_plan_beyond_the_limits(bench: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.full(100, 9.0)), bench / "plan.csv")
+    plan_file(bench, np.full(100, 9.0))
     line = shell.fails("record --rig", bench / "rig.toml", "--plan", bench / "plan.csv", "--out", bench / "run.mcap")
     assert "9 N m" in line
 
 
-def test_record_without_devices_says_what_is_missing(tmp_path: Path, shell: Shell) -> None:
-    write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
-    absent = tmp_path / "rig.toml"
+def test_record_without_devices_says_what_is_missing(here: Path, shell: Shell) -> None:
+    plan_file(here, np.zeros(100))
+    absent = here / "rig.toml"
     absent.write_text(RIG.read_text().replace("/dev/ttyACM0", "/dev/no-such-port"))
-    args = ("--plan", tmp_path / "p.csv", "--out", tmp_path / "r.mcap")
-    assert "/dev/no-such-port" in shell.fails("record --rig", absent, *args, status=1)
+    args = ("--plan p.csv --out r.mcap",)
+    assert "/dev/no-such-port" in shell.fails("record --rig rig.toml", *args, status=1)
     absent.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
-    assert "devices.controller" in shell.fails("record --rig", absent, *args)
-    assert not (tmp_path / "r.mcap").exists()
+    assert "devices.controller" in shell.fails("record --rig rig.toml", *args)
+    assert not (here / "r.mcap").exists()
 
 
-def test_record_from_an_emulated_leg_says_so(tmp_path: Path, shell: Shell) -> None:
+def test_record_from_an_emulated_leg_says_so(here: Path, shell: Shell) -> None:
     """Nothing of the rig's devices is opened; what is hidden is not in the file."""
-    write_plan(random_multisine(1, 4.0, 0.3), tmp_path / "plan.csv")
-    start = "record --rig", RIG, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.mcap"
+    write_plan(random_multisine(1, 4.0, 0.3), here / "plan.csv")
+    start = "record --rig", RIG, "--plan plan.csv --out run.mcap"
     shell(*start, "--emulate quadratic_drag --seed", 3)
-    shell("info", tmp_path / "run.mcap")
+    shell("info run.mcap")
     said = shell.out
     assert "recorded from an emulated leg" in said and "drag" not in said
-    raw = read_run(tmp_path / "run.mcap")
+    raw = read_run(here / "run.mcap")
     assert raw.streams["/imu"].size > 1900 and raw.files["rig.toml"] == RIG.read_text()
     assert "exists" in shell.fails(*start, "--emulate")
     assert "invalid choice" in shell.fails(*start, "--emulate ghosts")

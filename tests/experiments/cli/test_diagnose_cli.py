@@ -1,6 +1,5 @@
 """`legid diagnose`: documents by the contract, statuses, and what it refuses; the pipeline itself is stood in for."""
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 from daq import Dataset, load_rig
-from daq.runs import write_csv
 from estimator import Diagnosis
 from estimator.effects import StribeckFriction
 from estimator.model import leg2
@@ -20,30 +18,19 @@ from experiments.emulation.plant import LegPlant
 from experiments.excite import random_multisine
 from experiments.models import load_model
 from tests.support.diagnoses import synthetic
+from tests.support.imported_files import table_of
 from tests.support.models import LEG, write_model
+from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
-from tests.support.shell import Shell, document
+from tests.support.runs import without
+from tests.support.shell import Shell, document, read_json
 
-Pipeline = Callable[[Diagnosis], dict[str, Any]]
+Diagnosed = Callable[..., dict[str, Any]]
 
 
-def run_csv(path: Path, seed: int, drop: tuple[str, ...] = ()) -> Path:
-    """A run of the plant with noise, as CSV at 100 Hz."""
-    rng, plant, rows = np.random.default_rng(seed), LegPlant(), []
-    torque = random_multisine(seed, 6.0, 0.6).torque_nm
-    for u in torque:
-        s = plant.state
-        rows.append((s.q1, s.q2, 0.2 * s.q1dd + 9.81 * np.sin(s.q1), -0.2 * s.q1d**2 - 9.81 * np.cos(s.q1), s.q1d))
-        plant.step(0.01, float(u))
-    q1, q2, ax, ay, gyro = np.array(rows).T
-    columns = {"q1_rad": q1, "q2_rad": q2, "tau2_nm": torque, "gyro_radps": gyro, "accel_x_mps2": ax,
-               "accel_y_mps2": ay}
-    for name, level in (("q2", 4e-4), ("tau2", 0.02), ("gyro", 0.005), ("accel_x", 0.05), ("accel_y", 0.05)):
-        column = next(c for c in columns if c.startswith(name))
-        columns[column] = columns[column] + level * rng.normal(size=q1.size)
-    columns = {name: values for name, values in columns.items() if not name.startswith(drop)}
-    write_csv(Dataset(path.name, 100.0, np.arange(q1.size) / 100.0, columns), path)
-    return path
+def run_csv(path: Path, seed: int, *left_out: str) -> Path:
+    """Six seconds of a leg without these columns."""
+    return table_of(without(record(Leg(), seed, seconds=6.0), *left_out), path)
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +47,21 @@ def rig(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def pipeline(monkeypatch: pytest.MonkeyPatch) -> Pipeline:
-    """Lets a diagnosis return what it is given, and keeps what it was asked."""
-    asked: dict[str, Any] = {}
+def diagnosed(runs: list[Path], rig: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Diagnosed:
+    """Types a diagnosis whose pipeline returns what it is given; the answer is what the pipeline was asked."""
+    def typed(found: Diagnosis, *words: object, files: Sequence[Path] = runs, status: int = 0) -> dict[str, Any]:
+        asked: dict[str, Any] = {}
 
-    def answer(found: Diagnosis) -> dict[str, Any]:
         def stand_in(datasets: Sequence[Dataset], mechanism: object, options: object, **more: Any) -> Diagnosis:
             asked.update(more, datasets=datasets, options=options)
             more["progress"]("a stage", 0.5)
             return found
 
         monkeypatch.setattr("experiments.workflows.diagnose.diagnose", stand_in)
+        shell("diagnose", *files, "--rig", rig, *words, status=status)
         return asked
 
-    return answer
+    return typed
 
 
 def extended() -> Diagnosis:
@@ -85,13 +73,11 @@ def extended() -> Diagnosis:
                    angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
 
 
-def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell,
-                                  pipeline: Pipeline) -> None:
-    asked = pipeline(extended())
-    shell("diagnose", *runs, "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
-          tmp_path / "m.json", "--seed", 7)
+def test_what_is_written_and_said(runs: list[Path], diagnosed: Diagnosed, tmp_path: Path, shell: Shell) -> None:
+    asked = diagnosed(extended(), "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
+                      tmp_path / "m.json", "--seed 7")
     assert shell.out.startswith(synthetic().sentence)
-    assert json.loads((tmp_path / "d.json").read_text())["schema"] == "legid.diagnosis/1"
+    assert read_json(tmp_path / "d.json")["schema"] == "legid.diagnosis/1"
     assert "<h2>Causes</h2>" in (tmp_path / "d.html").read_text()
     model = load_model(tmp_path / "m.json")
     (effect,) = model.effects
@@ -105,89 +91,75 @@ def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, s
 
 
 @pytest.mark.parametrize("output", ["--json", "--html", "--model-out"])
-def test_a_full_disk_does_not_take_the_diagnosis_with_it(output: str, runs: list[Path], rig: Path,
-                                                         shell: Shell,
-                                                         pipeline: Pipeline) -> None:
-    pipeline(extended())
-    shell("diagnose", *runs, "--rig", rig, output, "/dev/full", status=2)
+def test_a_full_disk_does_not_take_the_diagnosis_with_it(output: str, diagnosed: Diagnosed, shell: Shell) -> None:
+    diagnosed(extended(), output, "/dev/full", status=2)
     said = shell.read()
     assert said.out.startswith(synthetic().sentence)
     assert said.err.splitlines()[-1] == ("legid diagnose: /dev/full: No space left on device; free space there, or "
                                          "give another place")
 
 
-def test_the_pivots_encoder_is_not_read_with_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
-                                                    pipeline: Pipeline,
-                                                    shell: Shell) -> None:
-    asked = pipeline(synthetic())
-    shell("diagnose", *runs, "--rig", rig)
+def test_the_pivots_encoder_is_not_read_with_an_imu(diagnosed: Diagnosed, tmp_path: Path) -> None:
+    asked = diagnosed(synthetic())
     assert asked["options"].sensors == "imu" and all("q1_rad" not in d for d in asked["datasets"])
-    hall = [run_csv(tmp_path / f"h{k}.csv", k, drop=("gyro", "accel")) for k in (1, 2)]
-    shell("diagnose", *hall, "--rig", rig)
+    hall = [run_csv(tmp_path / f"h{k}.csv", k, "gyro_radps", "accel_x_mps2", "accel_y_mps2") for k in (1, 2)]
+    asked = diagnosed(synthetic(), files=hall)
     assert asked["options"].sensors == "encoder" and all("q1_rad" in d for d in asked["datasets"])
 
 
-def test_a_nominal_model_is_saved_where_nothing_was_found(runs: list[Path], rig: Path, tmp_path: Path,
-                                                          pipeline: Pipeline,
-                                                          shell: Shell) -> None:
-    pipeline(replace(synthetic(), verdict="none", causes=(), extended={}))
-    shell("diagnose", *runs, "--rig", rig, "--model-out", tmp_path / "m.json")
+def test_a_nominal_model_is_saved_where_nothing_was_found(diagnosed: Diagnosed, tmp_path: Path) -> None:
+    diagnosed(replace(synthetic(), verdict="none", causes=(), extended={}), "--model-out", tmp_path / "m.json")
     model = load_model(tmp_path / "m.json")
     assert model.effects == () and model.beta == [0.1] * 9 and model.covariance[0][0] == pytest.approx(1e-6)
-    asked = pipeline(synthetic())
-    shell("diagnose", *runs, "--rig", rig, "--reference", tmp_path / "m.json")
+    asked = diagnosed(synthetic(), "--reference", tmp_path / "m.json")
     assert asked["reference"]["beta4"] == (0.1, pytest.approx(1e-3))
 
 
-def test_a_reference_with_terms_that_a_fit_chose_is_taken_for_the_same_rig(
-        runs: list[Path], rig: Path, tmp_path: Path, pipeline: Pipeline,
-        shell: Shell) -> None:
+def test_a_reference_with_terms_that_a_fit_chose_is_taken_for_the_same_rig(diagnosed: Diagnosed, tmp_path: Path
+                                                                          ) -> None:
     path = write_model(tmp_path / "chosen.json", [0.1] * 10, {**LEG, "torque_offset": (2,)})
-    asked = pipeline(synthetic())
-    shell("diagnose", *runs, "--rig", rig, "--reference", path)
+    asked = diagnosed(synthetic(), "--reference", path)
     assert asked["reference"]["torque_offset_2"] == (0.1, 0.0)
 
 
-def test_a_fit_that_fails_says_that_the_reference_was_not_compared(
-        runs: list[Path], rig: Path, tmp_path: Path, shell: Shell,
-        pipeline: Pipeline) -> None:
+def test_a_fit_that_fails_says_that_the_reference_was_not_compared(diagnosed: Diagnosed, tmp_path: Path, shell: Shell
+                                                                  ) -> None:
     path = write_model(tmp_path / "m.json", [0.1] * 9, LEG)
-    pipeline(Diagnosis("fit_failed", "No diagnosis: the fit did not converge."))
-    said = shell.fails("diagnose", *runs, "--rig", rig, "--reference", path, status=1)
+    diagnosed(Diagnosis("fit_failed", "No diagnosis: the fit did not converge."), "--reference", path, status=1)
+    (said,) = shell.err.splitlines()
     assert "The reference was not compared: that needs a fit of these runs." in said
 
 
-def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, tmp_path: Path,
+def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, here: Path,
                                                         shell: Shell) -> None:
     # No stand-in: six seconds are too little for the pipeline itself.
-    found = document("diagnose", runs[0], "--rig", rig, "--html", tmp_path / "d.html", "--model-out",
-                     tmp_path / "m.json", status=1)
+    found = document("diagnose", runs[0], "--rig", rig, "--html d.html --model-out m.json", status=1)
     assert found["verdict"] == "fit_failed" and "6.0 s" in found["sentence"] and found["causes"] == []
     error = shell.read()
     assert error.err.count("\n") == 1 and found["sentence"].rstrip(".") in error.err and error.out == ""
-    assert (tmp_path / "d.html").exists() and not (tmp_path / "m.json").exists()
+    assert (here / "d.html").exists() and not (here / "m.json").exists()
 
 
-def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path: Path, shell: Shell) -> None:
-    other = run_csv(tmp_path / "other.csv", 9)
+def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, here: Path, shell: Shell) -> None:
+    other = run_csv(here / "other.csv", 9)
     other.write_text(other.read_text().replace("gyro_radps", "gyro"))
-    copy = tmp_path / "copy"
+    copy = here / "copy"
     copy.mkdir()
     (copy / runs[0].name).write_text(runs[0].read_text())
-    model = tmp_path / "m.json"
+    model = here / "m.json"
     model.write_text("{}")
     for args, says in (([*runs, other], "other.csv"), ([*runs, copy / runs[0].name], "given twice"),
                        ([*runs, "none.csv"], "none.csv"), ([*runs, "--reference", model], "m.json"),
                        ([*runs, "--seed -1"], "whole number")):
-        assert says in shell.fails("diagnose", *args, "--rig", rig, "--json", tmp_path / "d.json")
-    assert not (tmp_path / "d.json").exists()
+        assert says in shell.fails("diagnose", *args, "--rig", rig, "--json d.json")
+    assert not (here / "d.json").exists()
 
 
-def test_native_runs_of_different_rigs(demo_run: Path, tmp_path: Path, shell: Shell) -> None:
-    text, other = RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"), tmp_path / "b.mcap"
+def test_native_runs_of_different_rigs(demo_run: Path, here: Path, shell: Shell) -> None:
+    text, other = RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"), here / "b.mcap"
     assert text != RIG.read_text()
     record_emulated(other, load_rig(RIG), text, random_multisine(1, 4.0, 0.3), 1)
-    said = shell.fails("diagnose", demo_run, other, "--rig", RIG)
+    said = shell.fails("diagnose", demo_run, "b.mcap --rig", RIG)
     assert f"b.mcap: was recorded on another rig than {demo_run.name}" in said
 
 

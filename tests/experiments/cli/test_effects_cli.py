@@ -15,7 +15,7 @@ from experiments.models import effects_document, known_effects
 from tests.support.paths import ROOT
 from tests.support.shell import Shell, document
 
-PAGE = ROOT / "docs" / "effect.md"
+PAGE = ROOT / "docs/effect.md"
 CONTRACT = [
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
     "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",

@@ -1,9 +1,6 @@
 """Hostile files through the commands that read them: one line within bounds, and nothing is run or written."""
 
-import os
 import resource
-import subprocess
-import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +10,8 @@ import pytest
 from daq import parse_rig
 from tests.support.hostile_files import ATTACKS, HARMLESS, RUNS
 from tests.support.measured_command import measured
-from tests.support.paths import CASES, DEMO_RIG, ROOT
+from tests.support.paths import CASES, DEMO_RIG
+from tests.support.processes import ran
 
 FOLDER = CASES / "hostile"
 SECONDS, MEGABYTES = 10.0, 1000.0
@@ -28,15 +26,9 @@ WORDS = {"import": ("import", "FILE", "--map", "map.toml", "--guess"), "fit": ("
          "init": ("init", "new.toml", "--from", "FILE"), "runs": ("runs", "FILE")}
 
 
-def call(command: Sequence[str], file: str, folder: Path) -> tuple[int, str, float, float]:
-    """Exit status, standard error, seconds of a processor and MB of `legid COMMAND` and all its children."""
-    found = measured([file if word == "FILE" else word for word in command], folder)
-    return found.status, found.error, found.seconds, found.megabytes
-
-
-def harmless(found: tuple[int, str, float, float], read: bool) -> None:
-    """One line, or none where the file may be read."""
-    status, said, seconds, megabytes = found
+def harmless(command: Sequence[str], file: str, folder: Path, read: bool) -> None:
+    """`legid COMMAND` says one line, or none where the file may be read."""
+    status, _, said, seconds, megabytes = measured([file if word == "FILE" else word for word in command], folder)
     assert status in ((0, 1, 2) if read else (1, 2)), said
     assert (len(said.strip().splitlines()) <= 1 and said.startswith("legid ")) or (read and not said), said
     assert "internal error" not in said and "Traceback" not in said
@@ -51,7 +43,7 @@ def test_an_attack_ends_in_one_line(name: str, tmp_path: Path) -> None:
         pytest.importorskip("h5py" if "HDF5" in name else "numpy")
     file = make(tmp_path)
     before = set(tmp_path.iterdir())
-    harmless(call(command, file, tmp_path), name in HARMLESS or command == RUNS)
+    harmless(command, file, tmp_path, name in HARMLESS or command == RUNS)
     new = {path.name for path in set(tmp_path.iterdir()) - before}
     assert new <= {"said", "new.toml"}
     if "new.toml" in new:
@@ -64,7 +56,7 @@ def test_an_attack_ends_in_one_line(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name, command", [(name, how) for name, hows in GIVEN.items() for how in hows])
 def test_a_file_that_did_harm_does_none(name: str, command: str, tmp_path: Path) -> None:
     read = command in ("info", "recover", "init", "runs")
-    harmless(call(WORDS[command], str(FOLDER / name), tmp_path), read)
+    harmless(WORDS[command], str(FOLDER / name), tmp_path, read)
     if (tmp_path / "new.toml").exists():  # MuJoCo may refuse the robot
         rig = parse_rig((tmp_path / "new.toml").read_text())
         assert rig.devices.controller is None and rig.noise.encoder_rad is None
@@ -73,8 +65,7 @@ def test_a_file_that_did_harm_does_none(name: str, command: str, tmp_path: Path)
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="the cases are not on this machine")
 def test_a_folder_with_a_broken_number_is_listed(tmp_path: Path) -> None:
     """All files of the folder are in the list, those that cannot be read too."""
-    done = subprocess.run([sys.executable, "-P", "-m", "experiments.cli", "runs", str(FOLDER)], text=True, check=True,
-                          capture_output=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=tmp_path)
+    done = ran("-P", "-m", "experiments.cli", "runs", FOLDER, cwd=tmp_path)
     assert all(path.name in done.stdout for path in FOLDER.glob("*.mcap")) and done.stderr == ""
 
 

@@ -15,15 +15,15 @@ from experiments.emulation import ServedRig
 from tests.support.imported_files import ros2_bag
 from tests.support.mujoco_leg import Leg, record
 from tests.support.processes import REAL_CLOCK
+from tests.support.shell import Answers
 
 Type = Callable[..., str]
 PER_AMPERE = 0.9
 
 
 @pytest.fixture
-def typed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Type:
+def typed(here: Path, capfd: pytest.CaptureFixture[str]) -> Type:
     """Types a command in the empty folder, which ends with this status; everything that it printed."""
-    monkeypatch.chdir(tmp_path)
 
     def run(line: str, *statuses: int) -> str:
         program, *words = shlex.split(line)
@@ -34,17 +34,6 @@ def typed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Capture
         return said
 
     return run
-
-
-def answers(monkeypatch: pytest.MonkeyPatch, *texts: str) -> None:
-    rest = iter(texts)
-
-    def answer(question: str = "") -> str:
-        for text in rest:
-            return text
-        raise EOFError
-
-    monkeypatch.setattr("builtins.input", answer)
 
 
 def told(said: str, begin: str) -> str:
@@ -58,14 +47,14 @@ def values(said: str) -> list[float]:
     return [float(line.split()[1]) for line in said.splitlines() if re.match(r"beta[1-5] +[-0-9]", line)]
 
 
-def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, answers: Answers) -> None:
     for k in (1, 2, 3):
-        run = record(Leg(), np.random.default_rng(k), seconds=12.0)
+        run = record(Leg(), k, seconds=12.0)
         table = [run.time_s * 1000.0, np.degrees(run["q1_rad"]), np.degrees(run["q2_rad"]), run["tau2_nm"] / PER_AMPERE]
         np.savetxt(tmp_path / f"log{k}.csv", np.column_stack(table), delimiter=";", comments="", fmt="%.5f",
                    header="time [ms];hip [deg];knee [deg];current [A]")
     assert "or write it: legid init rig.toml" in typed("legid fit log1.csv", 2)
-    answers(monkeypatch, "leg2", "2", "9.81", "", "none", "1", "none")
+    answers("leg2", "2", "9.81", "", "none", "1", "none")
     assert "Next: legid import FILE..., then legid fit" in typed("legid init rig.toml")
     guess = "legid import log1.csv --map columns.toml --guess"
     assert f"it is another program's file; run: {guess}" in typed("legid fit log1.csv", 2)
@@ -88,10 +77,10 @@ def test_own_csv_with_current_in_amperes(typed: Type, tmp_path: Path, monkeypatc
     assert (tmp_path / "leg.urdf").read_text().startswith("<?xml")
 
 
-def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = record(Leg(), np.random.default_rng(9), seconds=12.0)
+def test_a_ros_bag(typed: Type, tmp_path: Path, answers: Answers) -> None:
+    run = record(Leg(), 9, seconds=12.0)
     ros2_bag(run, tmp_path / "bag", StoragePlugin.MCAP)
-    answers(monkeypatch, "leg2", "2", "9.81", "0.2", "none", "1", "none")
+    answers("leg2", "2", "9.81", "0.2", "none", "1", "none")
     typed("legid init rig.toml")
     said = typed("legid import bag --map columns.toml --guess")
     assert "/joint_states/knee/effort" in said
@@ -105,11 +94,11 @@ def test_a_ros_bag(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @REAL_CLOCK
-def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, answers: Answers) -> None:
     with ServedRig(tmp_path / "served", drive="moteus") as served:
         devices = load_rig(served.rig_path).devices
         assert devices.imu is not None and devices.controller.port is not None
-        answers(monkeypatch, "leg2", "2", "9.81", "0.2", devices.imu.bus, "50", "moteus", devices.controller.port, "1",
+        answers("leg2", "2", "9.81", "0.2", devices.imu.bus, "50", "moteus", devices.controller.port, "1",
                 "0.85", "200", "1.0", "20", "1.5", "3")
         said = typed("legid init rig.toml")
         assert "values are assumed and marked so. Next: legid doctor --rig rig.toml" in said

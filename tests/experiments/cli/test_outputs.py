@@ -26,8 +26,7 @@ OUTPUTS = [
 
 @pytest.mark.parametrize("command", OUTPUTS, ids=lambda c: f"{c.split()[0]} {c.split()[-1]}")
 def test_no_command_destroys_a_run_or_unasked_another_file(
-        command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
-    monkeypatch.chdir(tmp_path)
+        command: str, here: Path, shell: Shell) -> None:
     target = Path("target")
     forced = [] if command.startswith("rec") else ["--force"]
     target.write_bytes(RUN)
@@ -53,14 +52,14 @@ def test_two_outputs_in_one_place_are_refused(shell: Shell) -> None:
     assert "--json names too" in shell.fails(FIT, "--json x.json --model-out x.json")
 
 
-def test_an_output_of_the_same_kind_is_replaced(tmp_path: Path, shell: Shell) -> None:
-    path = tmp_path / "effects.json"
-    shell("effects --json", path)
+def test_an_output_of_the_same_kind_is_replaced(here: Path, shell: Shell) -> None:
+    path = here / "effects.json"
+    shell("effects --json effects.json")
     path.write_text(path.read_text()[:60] + "...")
-    shell("effects --json", path)
+    shell("effects --json effects.json")
     assert path.read_text().endswith("}\n")
     path.write_bytes(NOTES)
-    shell("effects --json", path, "--force")
+    shell("effects --json effects.json --force")
 
 
 def test_a_demo_replaces_no_run_but_its_own(tmp_path: Path, shell: Shell) -> None:

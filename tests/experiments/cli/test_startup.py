@@ -1,16 +1,13 @@
 """What a command does not use, it does not wait for."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from daq.runs import write_csv
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import ROOT
+from tests.support.processes import ran
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n'
 RECORDER = "import sys, experiments.workflows.record; print([name for name in {slow} if name in sys.modules])"
@@ -27,22 +24,19 @@ print([name for name in {slow} if name in sys.modules])
 
 def last_line(code: str, *command: str, cwd: Path = ROOT) -> str:
     """What a program prints last."""
-    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, timeout=120, cwd=cwd,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)})
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()[-1]
+    return ran("-c", code, *command, cwd=cwd).stdout.splitlines()[-1]
 
 
 def test_a_fit_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     leg = Leg()
-    write_csv(record(leg, np.random.default_rng(3), seconds=10), tmp_path / "run.csv")
+    write_csv(record(leg, 3, seconds=10), tmp_path / "run.csv")
     (tmp_path / "rig.toml").write_text(RIG.format(lever=leg.lever))
     assert last_line(CODE.format(slow=SLOW), "fit", "run.csv", "--rig", "rig.toml", cwd=tmp_path) == "[]"
 
 
 @pytest.mark.parametrize("command", [["--version"], ["--help"], ["info", "run.csv"]])
 def test_a_command_without_a_fit_loads_no_compiler(command: list[str], tmp_path: Path) -> None:
-    write_csv(record(Leg(), np.random.default_rng(3), seconds=2), tmp_path / "run.csv")
+    write_csv(record(Leg(), 3, seconds=2), tmp_path / "run.csv")
     assert last_line(CODE.format(slow=("numba", "llvmlite")), *command, cwd=tmp_path) == "[]"
 
 

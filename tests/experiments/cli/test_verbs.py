@@ -1,7 +1,6 @@
 """Commands and verbs are one: a command that answers with a document calls a verb of `legid` and writes its result."""
 
 import ast
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 import legid
 from experiments.cli.command import Command, OneOf
 from tests.support.paths import FIXTURES, ROOT
-from tests.support.shell import document, typed
+from tests.support.shell import document, read_json, typed
 
 FOLDER = ROOT / "experiments/cli/commands"
 HEALTHY, RIG = FIXTURES / "healthy.mcap", FIXTURES / "rig.toml"
@@ -69,19 +68,19 @@ def test_every_verb_with_a_document_has_its_command() -> None:
 
 def answer(path: Path) -> Any:
     """A document without the command line and the time that it took."""
-    found = json.loads(path.read_text())
+    found = read_json(path)
     return {k: v for k, v in found.items() if k != "wall_s"} | {"provenance": found["provenance"] | {"command": ""}}
 
 
-def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made_from(tmp_path: Path) -> None:
-    model, shell, python = tmp_path / "model.json", tmp_path / "shell.json", tmp_path / "python.json"
+def test_the_document_of_a_command_is_that_of_the_verb_with_all_that_it_was_made_from(here: Path) -> None:
+    model, shell, python = here / "model.json", here / "shell.json", here / "python.json"
 
     def same(found: Any, *words: object) -> Any:
-        typed(*words, "--json", shell, "--force")
+        typed(*words, "--json shell.json --force")
         python.unlink(missing_ok=True)
         found.to_json(python)
         assert answer(shell) == answer(python)
-        return json.loads(shell.read_text())["provenance"]
+        return read_json(shell)["provenance"]
 
     run = legid.load(HEALTHY, RIG)
     origin = same(legid.fit(run, method="wls"), "fit", HEALTHY, "--rig", RIG, "--method wls --model-out", model)

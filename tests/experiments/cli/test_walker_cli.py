@@ -1,6 +1,5 @@
 """A walker's records by the commands: fitted over steps, validated across touchdowns, diagnosed, or refused."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import pytest
 
 from daq import Dataset
 from daq.runs import write_csv
-from tests.support.shell import Shell, document, typed
+from tests.support.shell import Shell, document, read_json, typed
 from tests.support.walker_plant import RIG, Gait, Law, Plant, Walker, no_loss, record, walk
 
 GEARED = RIG + "[motor]\ngear_ratio = 20.0\n"
@@ -38,12 +37,12 @@ def model(folder: Path) -> Path:
 
 
 def test_a_record_without_contacts_is_fitted_over_its_steps(folder: Path, model: Path) -> None:
-    found = json.loads((folder / "fit.json").read_text())
+    found = read_json(folder / "fit.json")
     assert found["converged"] and not found["undetermined"]
     assert any(text.startswith("walk2.csv: 11 touchdowns, as its angles show, to ") for text in found["assumptions"])
     for p, true in zip(found["parameters"], Walker().beta):
         assert abs(p["value"] - true) < 4.0 * p["std"] < 0.3 * true
-    assert json.loads(model.read_text())["mechanism"]["hips"] is True
+    assert read_json(model)["mechanism"]["hips"] is True
 
 
 def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, shell: Shell) -> None:
@@ -79,12 +78,12 @@ def test_a_record_that_cannot_be_cut_is_refused(folder: Path, shell: Shell, chan
     assert said in shell.fails("fit", path, "--rig", folder / "rig.toml", status=1)
 
 
-def test_only_a_biped_walks(tmp_path: Path, shell: Shell) -> None:
-    rig = tmp_path / "rig.toml"
+def test_only_a_biped_walks(here: Path, shell: Shell) -> None:
+    rig = here / "rig.toml"
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
-    assert "[walker]: that is for a biped3" in shell.fails("fit", rig, "--rig", rig)
+    assert "[walker]: that is for a biped3" in shell.fails("fit rig.toml --rig rig.toml")
     rig.write_text('[mechanism]\nmodel = "biped3"\nactuated = [2, 3]\n[walker]\n[[imu]]\nlink = 3\n')
-    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.fails("fit", rig, "--rig", rig)
+    assert "[walker]: that is for a biped3 without distance_meter or imu" in shell.fails("fit rig.toml --rig rig.toml")
 
 
 @pytest.mark.slow

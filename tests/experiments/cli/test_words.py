@@ -18,9 +18,9 @@ def test_a_misspelt_word_gets_a_suggestion(args: str, meant: str, shell: Shell) 
 
 
 @pytest.mark.parametrize("right, wrong", [("lever_arm_m", "lever_arm"), ("[limits]", "[limit]")])
-def test_a_misspelt_key_gets_a_suggestion(right: str, wrong: str, tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace(right, wrong))
-    assert f"did you mean {right.strip('[]')}?" in shell.fails("fit a.csv --rig", tmp_path / "rig.toml")
+def test_a_misspelt_key_gets_a_suggestion(right: str, wrong: str, here: Path, shell: Shell) -> None:
+    (here / "rig.toml").write_text(DEMO_RIG.read_text().replace(right, wrong))
+    assert f"did you mean {right.strip('[]')}?" in shell.fails("fit a.csv --rig rig.toml")
 
 
 @pytest.mark.parametrize("columns", [50, 80, 100])
@@ -35,14 +35,14 @@ def test_no_option_is_parted_at_a_hyphen(columns: int, monkeypatch: pytest.Monke
             assert option in text
 
 
-def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, shell: Shell) -> None:
-    path = tmp_path / "a.csv"
+def test_names_from_files_cannot_steer_the_terminal(here: Path, shell: Shell) -> None:
+    path = here / "a.csv"
     path.write_text("time_s,\x1b]0;owned\x07q\x9b2J\n" + "".join(f"{k},{k}\n" for k in range(60)))
-    shell("info", path)
+    shell("info a.csv")
     out = shell.out
     assert "owned" in out and not any(c in out for c in "\x1b\x07\x9b") and "\n" in out
     path.write_text("time_s,a\x1b[2J,a\x1b[2J\n1,2,3\n")
-    assert "\x1b" not in shell.fails("info", path)
+    assert "\x1b" not in shell.fails("info a.csv")
 
 
 def test_progress_is_told_where_there_is_no_terminal(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,17 +64,17 @@ def test_quiet_and_verbose(shell: Shell) -> None:
     assert shell.err == ""
 
 
-def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, shell: Shell) -> None:
-    good = [tmp_path / "a.csv", tmp_path / "b.csv"]
+def test_info_tells_of_all_files_that_can_be_read(here: Path, shell: Shell) -> None:
+    good = [here / "a.csv", here / "b.csv"]
     for path in good:
         path.write_text("time_s,q\n" + "".join(f"{k},{k}\n" for k in range(60)))
-    shell("info", good[0], tmp_path / "none.csv", good[1], status=2)
+    shell("info", good[0], "none.csv", good[1], status=2)
     out, err = shell.read()
     assert "a.csv: 60 samples" in out and "b.csv: 60 samples" in out and "none.csv" in err
 
 
-def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "a.csv").write_text("time_s,q\n" + "".join(f"{k / 100},{k}\n" for k in range(60)))
-    shell("export", tmp_path / "a.csv", "--out", tmp_path / "b.mat")
-    assert (tmp_path / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
-    assert "give --to" in shell.fails("export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")
+def test_the_ending_tells_the_format_of_an_export(here: Path, shell: Shell) -> None:
+    (here / "a.csv").write_text("time_s,q\n" + "".join(f"{k / 100},{k}\n" for k in range(60)))
+    shell("export a.csv --out b.mat")
+    assert (here / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
+    assert "give --to" in shell.fails("export a.csv --out b.xyz")

@@ -67,11 +67,11 @@ class Bench:
         self.shell("doctor --rig", self.rig, "--out", self.rig.parent, *more, status=status)
         return lines(self.shell.out)
 
-    def fails(self, *names: str) -> str:
-        """What these checks, which alone fail, say of it."""
-        found = self.check(status=1)
-        assert failing(found) == {*names}
-        return found[names[0]]
+    def fails(self, name: str, *more: str) -> str:
+        """What this check, which alone fails, says of it."""
+        found = self.check(*more, status=1)
+        assert failing(found) == {name}
+        return found[name]
 
 
 @pytest.fixture(autouse=True)
@@ -131,10 +131,9 @@ def test_a_good_rig_passes_every_check(bench: Bench) -> None:
 
 
 def test_faults_on_the_bus(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = tmp_path / "sys/bus/i2c/drivers/st_lsm9ds1"
-    chip = tmp_path / "sys/bus/i2c/devices/1-006b"
-    driver.mkdir(parents=True)
-    chip.mkdir(parents=True)
+    driver, chip = (tmp_path / "sys/bus/i2c" / name for name in ("drivers/st_lsm9ds1", "devices/1-006b"))
+    for folder in (driver, chip):
+        folder.mkdir(parents=True)
     (chip / "driver").symlink_to(driver)
     monkeypatch.setattr(bus, "SYSFS", tmp_path / "sys")
     bench.mock.imu.fail(errno.EBUSY)
@@ -168,8 +167,7 @@ def test_a_slow_bus_is_measured(khz: float, status: str, serve: Callable[..., Be
     bench = serve(bus_khz=khz)
     bench.rig.write_text(bench.rig.read_text().replace("59.5", "238.0" if khz < 100 else "59.5"))
     line = bench.check(status=int(status == "FAIL"))["I2C speed"]
-    assert line.startswith(status)
-    assert "i2c_arm_baudrate=400000" in line
+    assert line.startswith(status) and "i2c_arm_baudrate=400000" in line
     assert float(line.split()[3]) <= 1.01 * khz
 
 
@@ -222,9 +220,8 @@ def test_a_bad_cable_is_seen(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> N
     inner = bench.mock.firmware.transmit
     monkeypatch.setattr(bench.mock.firmware, "transmit",
                         lambda until_ns: [(t, b"".join(wire.pass_on(data))) for t, data in inner(until_ns)])
-    found = bench.check(status=1)
-    assert "telemetry" in failing(found)
-    assert "check cable" in found["telemetry"]
+    found = bench.check(status=1)["telemetry"]
+    assert found.startswith("FAIL") and "check cable" in found
 
 
 @pytest.mark.parametrize("room, delay, words", [
@@ -233,9 +230,7 @@ def test_disk(room: float, delay: float, words: str, tmp_path: Path, monkeypatch
     monkeypatch.setattr(preflight, "DISK_BYTES", 2 << 20 if delay == 0 else 2 << 16)
     monkeypatch.setattr(preflight, "open_scratch", lambda path: Disk(path.open("xb"), delay, room))
     space, speed = preflight.check_disk(tmp_path)
-    assert space.status == "ok"
-    assert speed.status == "FAIL"
-    assert words in speed.words
+    assert (space.status, speed.status) == ("ok", "FAIL") and words in speed.words
     assert list(tmp_path.iterdir()) == []
 
 
@@ -263,9 +258,7 @@ def test_a_leg_swung_by_hand_agrees(swung: Bench) -> None:
 ])
 def test_a_turned_mount_is_found(mount: str, check: str, swung: Bench) -> None:
     swung.rig.write_text(swung.rig.read_text() + f"imu_mount = {mount}\n")
-    found = swung.check("--move 1.6", status=1)
-    assert failing(found) == {check}
-    assert "sign is WRONG" in found[check]
+    assert "sign is WRONG" in swung.fails(check, "--move 1.6")
 
 
 def test_a_leg_that_was_not_moved(bench: Bench) -> None:
@@ -293,19 +286,18 @@ def test_can_interface(flags: str, state: str, bitrate: int, status: str, words:
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     found = link.can_interface("can0", {"interface": "socketcan", "channel": "can0", "bitrate": 1_000_000})
-    assert found.status == status
-    assert words in found.words
+    assert found.status == status and words in found.words
     assert "no such interface" in link.can_interface("can7", {}).words
 
 
-def test_without_a_rig_file_the_usual_places_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_without_a_rig_file_the_usual_places_are_looked_at(here: Path, monkeypatch: pytest.MonkeyPatch,
                                                            shell: Shell) -> None:
     def nobody(device: ControllerDevice, rig: Rig | None) -> None:
         raise DeviceAbsent(f"leg controller on {device.port}: no such port")
 
     monkeypatch.setattr("experiments.rig.devices.connect", nobody)
     replace_bus(monkeypatch, lambda path: open_bus(path + "-nowhere"))
-    shell("doctor --out", tmp_path / "nowhere", status=1)
+    shell("doctor --out nowhere", status=1)
     found = lines(shell.out)
     assert failing(found) >= {"controller", "I2C bus", "disk space"}
     assert "/dev/ttyACM0" in found["controller"]

@@ -11,7 +11,7 @@ import legid
 from estimator import Diagnosis as Details
 from experiments.documents import DiagnosisDocument, finite
 from tests.support.diagnoses import synthetic
-from tests.support.earlier import FOLDER, earlier
+from tests.support.earlier import FOLDER, earlier, written_by
 
 FIRST, EARLY = earlier("diagnosis"), FOLDER / "diagnosis.json"
 """As an early version wrote it."""
@@ -38,11 +38,10 @@ def test_what_was_read_is_written_as_it_was() -> None:
         f"{model}_{what}": {} for model in ("nominal", "extended") for what in ("std", "ci95")}}
 
 
-def test_a_file_has_no_models_and_no_curves(tmp_path: Path) -> None:
+def test_a_file_has_no_models_and_no_curves() -> None:
     found = legid.Diagnosis.read(EARLY)
     assert found.text().startswith(found.sentence)
-    found.page(tmp_path / "p.html")
-    assert "Diagnosis: cause named" in (tmp_path / "p.html").read_text()
+    assert "Diagnosis: cause named" in written_by(found.page)
     for ask in (found.plot, lambda: legid.model(found)):
         with pytest.raises(legid.WorkError, match="read from a file, which has no models and no curves"):
             ask()

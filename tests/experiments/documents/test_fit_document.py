@@ -1,13 +1,12 @@
 """`legid.fit/1` as a struct: files of earlier versions are read, shown and told, and what only a fit has is refused."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import legid
 from experiments.reports import fit_summary, fit_text
-from tests.support.earlier import FOLDER, again, earlier
+from tests.support.earlier import FOLDER, again, earlier, written_by
 from tests.support.fits import document_of, synthetic_fit
 
 LATER = earlier("fit_later")
@@ -45,10 +44,9 @@ def test_what_was_read_is_written_as_it_was() -> None:
     assert found.document["parameters"] == LATER["parameters"]
 
 
-def test_a_file_has_no_motion(tmp_path: Path) -> None:
+def test_a_file_has_no_motion() -> None:
     found = legid.FitResult.read(FOLDER / "fit.json")
-    found.page(tmp_path / "p.html")
-    page = (tmp_path / "p.html").read_text()
+    page = written_by(found.page)
     assert "<h2>Parameters</h2>" in page and "<h2>Torques</h2>" not in page
     for ask in (found.plot, lambda: found.covariance, lambda: legid.model(found)):
         with pytest.raises(legid.WorkError, match="read from a file, which has no covariance and no motion"):

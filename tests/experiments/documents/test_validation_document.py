@@ -8,13 +8,13 @@ import legid
 from experiments.documents import Document, ValidationDocument
 from experiments.reports import whole_validation_text
 from tests.support.documented import DOCUMENTED, described, keys_table
-from tests.support.earlier import FOLDER, again, earlier
+from tests.support.earlier import FOLDER, again, earlier, written_by
 
 EARLIER = earlier("validation")
 """As version 0.1 wrote it: no `start_s`, no `band95`."""
 
 
-def test_a_document_of_an_earlier_version_is_read_and_told(tmp_path: Path) -> None:
+def test_a_document_of_an_earlier_version_is_read_and_told() -> None:
     found = legid.Validations.read(FOLDER / "validation.json")
     text = whole_validation_text(found)
     assert text.startswith("ROUGH: over 1 s it is.\nLook at it.\n") and "a.csv: the simulation diverged" in text
@@ -25,8 +25,7 @@ def test_a_document_of_an_earlier_version_is_read_and_told(tmp_path: Path) -> No
     assert repr(found) == "<Validations: ROUGH: over 1 s it is.>"
     assert found.set_aside[0].run == "b.csv" and len(found) == 1
     assert found.to_frame().loc["a.csv", "q2_rad"] == 0.03 and "<table>" in found._repr_html_()
-    found.page(tmp_path / "p.html")
-    assert "Look at it." in (tmp_path / "p.html").read_text()
+    assert "Look at it." in written_by(found.page)
     for ask in (found.plot, lambda: found[0]):
         with pytest.raises(legid.WorkError, match="read from a file, which has no motion"):
             ask()

@@ -99,16 +99,16 @@ def test_a_replay_under_other_limits_names_the_one_that_it_would_pass(
     assert "limit q2_rad tripped" in shell.out
 
 
-def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, shell: Shell) -> None:
-    cut = tmp_path / "cut.mcap"
+def test_a_damaged_run_is_not_played_into_a_whole_one(here: Path, shell: Shell) -> None:
+    cut = here / "cut.mcap"
     cut.write_bytes(recorded("healthy").read_bytes()[:200_000])
-    assert "is damaged: its end is missing" in shell.fails("record --replay", cut, "--out", tmp_path / "out.mcap")
+    assert "is damaged: its end is missing" in shell.fails("record --replay cut.mcap --out out.mcap")
 
 
-def test_a_run_of_another_kind_of_recorder_is_refused_by_name(tmp_path: Path, shell: Shell) -> None:
+def test_a_run_of_another_kind_of_recorder_is_refused_by_name(here: Path, shell: Shell) -> None:
     from tests.support.motor_off_runs import write_off
 
-    write_off(tmp_path / "still.mcap")  # no device said in it what it is
-    said = shell.fails("record --replay", tmp_path / "still.mcap", "--out", tmp_path / "n.mcap")
+    write_off(here / "still.mcap")  # no device said in it what it is
+    said = shell.fails("record --replay still.mcap --out n.mcap")
     assert "does not say which firmware it is of" in said
-    assert not (tmp_path / "n.mcap").exists()
+    assert not (here / "n.mcap").exists()

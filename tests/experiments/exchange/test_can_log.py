@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from daq.errors import InputError
-from daq.rig_columns import Column
+from daq import Column, InputError
+from experiments.exchange import apply_map, read_imported
 from experiments.exchange.can_log import read_can_log, registers
-from experiments.exchange.column_map import apply_map
-from experiments.exchange.reading import read_imported
 
 T = np.arange(0.0, 2.0, 0.01)
 TURNS = 0.1 * np.sin(3.0 * T)

@@ -8,14 +8,12 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from numpy.testing import assert_allclose, assert_array_equal
 
-from daq.dataset import Dataset
-from daq.rig import Rig, load_rig
-from daq.runs.mcap_run import read_run
-from daq.timing.align import decode
-from estimator.fitting.fit import fit
-from estimator.result import FitResult
-from experiments.exchange.reading import is_native, load_any_run
-from experiments.session.setup import setup_of
+from daq import Dataset, Rig, load_rig
+from daq.runs import read_run
+from daq.timing import decode
+from estimator import FitResult, fit
+from experiments.exchange import is_native, load_any_run
+from experiments.session import setup_of
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run
 from tests.support.shell import Shell, typed
@@ -55,20 +53,20 @@ def test_to_the_bit(kind: str, demo_run: Path, rig: Rig, tmp_path: Path) -> None
 
 
 def test_a_fit_of_what_comes_back_is_the_same(demo_run: Path, messages_file: Path, rig: Rig, reference: FitResult,
-                                              tmp_path: Path) -> None:
+                                              here: Path) -> None:
     """In shares of a standard deviation. CSV keeps 12 digits, stamps of messages nanoseconds."""
-    typed("export", demo_run, "--to csv --out", tmp_path / "r.csv")
-    for path, share in ((tmp_path / "r.csv", 1e-4), (messages_file, 1e-3)):
+    typed("export", demo_run, "--to csv --out r.csv")
+    for path, share in ((here / "r.csv", 1e-4), (messages_file, 1e-3)):
         again = fitted(load_any_run(path, rig), rig)
         assert np.abs((again.beta - reference.beta) / reference.std).max() < share
         assert np.abs(again.std / reference.std - 1.0).max() < share
 
 
-def test_ros2_messages_by_another_library(demo_run: Path, rig: Rig, tmp_path: Path,
+def test_ros2_messages_by_another_library(demo_run: Path, rig: Rig, here: Path,
                                           shell: Shell) -> None:
     """Foxglove's reader decodes them: each sample at its own time of the wall clock, in SI units, right-handed."""
-    out = tmp_path / "r.mcap"
-    shell("export", demo_run, "--to ros2 --out", out)
+    out = here / "r.mcap"
+    shell("export", demo_run, "--to ros2 --out r.mcap")
     assert "temperature_degc" in shell.err
     raw = read_run(demo_run)
     *_, imu = decode(raw, rig).channels
@@ -91,11 +89,11 @@ def test_a_native_run_is_told_from_its_export(demo_run: Path, messages_file: Pat
     assert is_native(tmp_path / "broken.mcap")  # whose reader says what is wrong
 
 
-def test_a_csv_becomes_messages_that_count_from_zero(demo_run: Path, rig: Rig, tmp_path: Path,
+def test_a_csv_becomes_messages_that_count_from_zero(demo_run: Path, rig: Rig, here: Path,
                                                      shell: Shell) -> None:
-    shell("export", demo_run, "--to csv --out", tmp_path / "r.csv")
-    shell("export", tmp_path / "r.csv", "--to ros2 --out", tmp_path / "r.mcap")
+    shell("export", demo_run, "--to csv --out r.csv")
+    shell("export r.csv --to ros2 --out r.mcap")
     assert "no wall clock" in shell.err
-    was, again = load_run(tmp_path / "r.csv", rig), load_any_run(tmp_path / "r.mcap", rig)
+    was, again = load_run(here / "r.csv", rig), load_any_run(here / "r.mcap", rig)
     assert len(again) == len(was)
     assert_allclose(again["gyro_radps"], was["gyro_radps"], atol=1e-9)

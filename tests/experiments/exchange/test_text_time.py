@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.text_time import read_times
-from tests.support.imported_files import guess, pendulum, table
+from tests.support.imported_files import imported, pendulum, rows_of, table
 from tests.support.shell import Shell, typed
 
 
@@ -39,17 +39,10 @@ def written(path: Path, head: str, stamps: list[str], *columns: np.ndarray, sepa
     return path
 
 
-def imported(file: Path, folder: Path) -> np.ndarray:
-    """Columns of the run that an import by a guess writes."""
-    guess(file)
-    typed("import", file, "--map", file.with_suffix(".toml"), "--out", folder / "out")
-    return np.loadtxt(folder / "out" / file.name, delimiter=",", skiprows=1)
-
-
 def test_a_log_over_midnight_is_imported(tmp_path: Path) -> None:
     t, q, tau = pendulum()
     stamps = [f"{int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}" for s in 86395.0 + t]
-    run = imported(written(tmp_path / "x.csv", "clock,angle,torque", stamps, q, tau), tmp_path)
+    run = rows_of(imported(written(tmp_path / "x.csv", "clock,angle,torque", stamps, q, tau)))
     assert len(run) == t.size
     assert_allclose(run[:, 0] - run[0, 0], t, atol=1e-6)
     assert_allclose(run[:, 1], q, atol=1e-5)
@@ -60,34 +53,34 @@ def test_a_german_log_with_its_line_of_units_is_imported(tmp_path: Path) -> None
     stamps = [f"27.11.2026 09:16:{int(s):02d},{round(1e3 * (s % 1)):03d}" for s in t]
     file = written(tmp_path / "x.csv", "Zeitstempel;Winkel;Drehmoment\n;°;N·m", stamps, np.degrees(q), tau,
                    separator=";")
-    run = imported(file, tmp_path)
+    run = rows_of(imported(file))
     assert_allclose(run[:, 0], t, atol=1e-6)
     assert_allclose(run[:, 1], q, atol=1e-5)
 
 
-def test_stamps_that_are_too_coarse_say_so(tmp_path: Path, shell: Shell) -> None:
+def test_stamps_that_are_too_coarse_say_so(here: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
     for name, stamps, told in (("a.csv", [f"10:00:{s - s % 0.1:06.3f}" for s in t], "--rate HZ"),
                                ("b.csv", [f"{1.764235e9 + s:.6e}" for s in t], "its times have 7 digits only")):
-        file = written(tmp_path / name, "time,angle,torque", stamps, q, tau)
-        err = shell.fails("import", file, "--guess --map", tmp_path / "c.toml")
+        file = written(here / name, "time,angle,torque", stamps, q, tau)
+        err = shell.fails("import", file, "--guess --map c.toml")
         assert "stands still" in err and told in err and "sort" not in err
-        shell("import", file, "--guess --rate 100 --map", tmp_path / "r.toml")
-        (tmp_path / "r.toml").unlink()
+        shell("import", file, "--guess --rate 100 --map r.toml")
+        (here / "r.toml").unlink()
 
 
 def test_a_counter_of_microseconds_that_wraps_goes_on(tmp_path: Path, shell: Shell) -> None:
     t, q, tau = pendulum()
     stamps = [f"{(2**32 - 5_000_000 + round(1e6 * s)) % 2**32}" for s in t]
-    run = imported(written(tmp_path / "x.csv", "time_us,angle_rad,torque_nm", stamps, q, tau), tmp_path)
+    run = rows_of(imported(written(tmp_path / "x.csv", "time_us,angle_rad,torque_nm", stamps, q, tau)))
     assert_allclose(np.diff(run[:, 0]), 0.01, atol=1e-6)
     assert "wraps once by 4294.967296" in shell.err
 
 
-def test_a_clock_that_starts_again_is_cut_not_sorted(tmp_path: Path, shell: Shell) -> None:
+def test_a_clock_that_starts_again_is_cut_not_sorted(here: Path, shell: Shell) -> None:
     t = np.tile(np.arange(300) * 0.01, 2)
-    file = table(tmp_path / "run.csv", {"time_s": t, "q1_rad": np.sin(t), "tau1_nm": np.cos(t)})
-    assert "the clock starts again there: cut the file at line 302" in shell.fails("info", file)
+    table(here / "run.csv", {"time_s": t, "q1_rad": np.sin(t), "tau1_nm": np.cos(t)})
+    assert "the clock starts again there: cut the file at line 302" in shell.fails("info run.csv")
 
 
 def test_a_header_with_labels_names_its_channels(tmp_path: Path) -> None:
@@ -96,15 +89,14 @@ def test_a_header_with_labels_names_its_channels(tmp_path: Path) -> None:
             'Unit,"deg",Unit,"mNm"')
     file = written(tmp_path / "x.csv", head, [f"{s:.3f}" for s in t], np.degrees(q), t, 1e3 * tau)
     assert read_delimited(file).names == ["Angle time", "Angle [deg]", "Torque time", "Torque [mnm]"]
-    run = imported(file, tmp_path)
-    assert_allclose(run[:, 2], tau, atol=1e-5)
+    assert_allclose(rows_of(imported(file))[:, 2], tau, atol=1e-5)
 
 
 @pytest.mark.parametrize("head", ["", "angle_rad\n"])
-def test_one_column_at_a_known_rate_is_a_run(head: str, tmp_path: Path) -> None:
+def test_one_column_at_a_known_rate_is_a_run(head: str, here: Path) -> None:
     angle = np.sin(np.arange(500) * 0.02)
-    (tmp_path / "swing.txt").write_text(head + "".join(f"{a:.5f}\n" for a in angle))
-    (tmp_path / "m.toml").write_text(f'[columns.q1_rad]\nname = "{head.strip() or "column 1"}"\n')
-    typed("import", tmp_path / "swing.txt", "--map", tmp_path / "m.toml", "--rate 250 --out", tmp_path / "out")
-    run = np.loadtxt(tmp_path / "out" / "swing.csv", delimiter=",", skiprows=1)
+    (here / "swing.txt").write_text(head + "".join(f"{a:.5f}\n" for a in angle))
+    (here / "m.toml").write_text(f'[columns.q1_rad]\nname = "{head.strip() or "column 1"}"\n')
+    typed("import swing.txt --map m.toml --rate 250 --out out")
+    run = rows_of(here / "out/swing.csv")
     assert_allclose(run, np.column_stack([np.arange(500) / 250.0, angle]), atol=1e-5)

@@ -9,13 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.io import savemat
 
-from daq.errors import InputError
-from daq.rig import load_rig
-from daq.rig_columns import Column
-from daq.runs.csv_run import read_csv
-from experiments.exchange.column_map import apply_map
-from experiments.exchange.imported import ImportedFile, Table
-from experiments.exchange.reading import load_any_run, read_imported
+from daq import Column, InputError, parse_rig
+from daq.runs import read_csv
+from experiments.exchange import ImportedFile, apply_map, load_any_run, read_imported
+from experiments.exchange.imported import Table
 from tests.support.imported_files import table
 from tests.support.paths import DEMO_RIG, ROOT
 from tests.support.shell import Shell
@@ -56,27 +53,26 @@ def test_a_pickle_is_refused_with_what_to_save(command: str, name: str, program:
     assert f"{name}: is a {program} file" in said and "save its columns as CSV, Parquet or .npz" in said
 
 
-def test_what_the_page_saves_from_a_pickle_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_page_saves_from_a_pickle_is_read(here: Path) -> None:
     """The lines of docs/exchange.md."""
-    monkeypatch.chdir(tmp_path)
     Path("log.pkl").write_bytes(pickle.dumps(COLUMNS))
-    page = (ROOT / "docs" / "exchange.md").read_text()
+    page = (ROOT / "docs/exchange.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(code, {})
     for name in ("log.npz", "log.csv"):
         assert set(read_imported(name).names) == {"t", "a", "b"}
 
 
-def test_cells_and_trials_are_named_with_what_to_do(tmp_path: Path, shell: Shell) -> None:
+def test_cells_and_trials_are_named_with_what_to_do(here: Path, shell: Shell) -> None:
     trials = np.empty((1, 2), dtype=object)
     trials[0] = [COLUMNS["a"], COLUMNS["a"][:150]]
-    savemat(tmp_path / "x.mat", {"t": T, "knee": trials, "stack": np.zeros((3, 200, 2)), "names": ["hip", "knee"]})
-    found = read_imported(tmp_path / "x.mat")
+    savemat(here / "x.mat", {"t": T, "knee": trials, "stack": np.zeros((3, 200, 2)), "names": ["hip", "knee"]})
+    found = read_imported(here / "x.mat")
     assert found.names == ["t"] and set(found.left_out) == {"knee", "stack"}
     for name in ("knee", "knee{1}"):
         with pytest.raises(InputError, match=r"column 'knee' is no table of numbers; save each of its parts under a"):
             apply_map(found, {"time_s": Column(name="t"), "q1_rad": Column(name=name)})
-    said = shell.fails("import", tmp_path / "x.mat", "--out", tmp_path)
+    said = shell.fails("import x.mat --out", here)
     assert "'knee' is no table of numbers: save each of its parts" in said
 
 
@@ -100,10 +96,9 @@ def test_a_map_computes_nothing(column: str, name: str, tmp_path: Path) -> None:
 
 def test_a_rig_s_map_computes_nothing_either(tmp_path: Path) -> None:
     table(tmp_path / "x.csv", dict.fromkeys(("time_s", "thigh", "shank"), T))
-    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = []\n'
-                                       '[columns.q1_rad]\nname = "shank - thigh"\n')
+    rig = parse_rig('[mechanism]\nmodel = "joint1"\nactuated = []\n[columns.q1_rad]\nname = "shank - thigh"\n')
     with pytest.raises(InputError, match="a map computes nothing"):
-        load_any_run(tmp_path / "x.csv", load_rig(tmp_path / "rig.toml"))
+        load_any_run(tmp_path / "x.csv", rig)
 
 
 def test_a_column_is_taken_off_another(tmp_path: Path) -> None:
@@ -126,41 +121,41 @@ def test_columns_with_times_of_their_own_are_taken_off_by_lines_between_samples(
     assert_allclose(run["q1_rad"][within], (COLUMNS["b"] - 3.0 * T)[: within.sum()], atol=1e-9)
 
 
-def test_wrong_rows_are_left_out_by_number(tmp_path: Path, shell: Shell) -> None:
+def test_wrong_rows_are_left_out_by_number(here: Path, shell: Shell) -> None:
     lines = ["t,a,other", *(f"{t:.3f},{a:.9g},1" for t, a in zip(T, COLUMNS["a"]))]
     for k, cell in ((60, "ERR"), (80, "1e30")):
         t, _, other = lines[k].split(",")
         lines[k] = f"{t},{cell},{other}"
     lines[70] += ",7"
     lines[90] = lines[89]
-    (tmp_path / "x.csv").write_text("\n".join(lines))
-    (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
-    shell("import", tmp_path / "x.csv", "--map", tmp_path / "m.toml", "--out", tmp_path / "out")
+    (here / "x.csv").write_text("\n".join(lines))
+    (here / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
+    shell("import x.csv --map m.toml --out out")
     said = shell.err
     for part in ("4 wrong samples", "line 71 (has 4 cells", "line 61 ('a' holds 'ERR')", "larger than any reading",
                  "its time is not after the one before"):
         assert part in said, said
-    run = read_csv(tmp_path / "out/x.csv")
+    run = read_csv(here / "out/x.csv")
     assert_allclose(run.columns["q1_rad"], np.sin(3.0 * run.time_s), atol=1e-4)
 
 
-def test_a_bad_file_does_not_stop_the_others_and_all_can_be_repeated(tmp_path: Path,
+def test_a_bad_file_does_not_stop_the_others_and_all_can_be_repeated(here: Path,
                                                                      shell: Shell) -> None:
     for name in ("a.npz", "c.npz", "d/a.npz"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        npz(COLUMNS, tmp_path / name)
-    (tmp_path / "b.npz").write_text("no")
-    (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
-    out = tmp_path / "out"
-    files = [tmp_path / name for name in ("a.npz", "b.npz", "c.npz", "d/a.npz")]
-    to = "--map", tmp_path / "m.toml", "--out", out
-    made = {f"{tmp_path.name}-a.csv", "c.csv", "d-a.csv"}
+        (here / name).parent.mkdir(exist_ok=True)
+        npz(COLUMNS, here / name)
+    (here / "b.npz").write_text("no")
+    (here / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
+    out = here / "out"
+    files = [here / name for name in ("a.npz", "b.npz", "c.npz", "d/a.npz")]
+    to = "--map m.toml --out", out
+    made = {f"{here.name}-a.csv", "c.csv", "d-a.csv"}
     for _ in range(2):
         shell("import", *files, *to, status=2)
         said = shell.err
         assert "b.npz" in said and "1 of 4 files not imported" in said and "exists already" not in said
         assert {path.name for path in out.iterdir()} == made
-    (tmp_path / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "b"\n')
+    (here / "m.toml").write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "b"\n')
     del files[1]
     shell("import", *files, *to, status=2)
     assert "exists already" in shell.err
@@ -173,9 +168,8 @@ def test_a_grid_finer_than_the_record_is_said(tmp_path: Path) -> None:
     table(tmp_path / "x.csv", {"time_s": t, "q1_rad": np.sin(t), "tau1_nm": np.cos(t)}, 9)
     said = {}
     for grid in (50, 100):
-        (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
-                                           f"[sampling]\nrate_hz = {grid}\n")
-        said[grid] = [str(one) for one in load_any_run(tmp_path / "x.csv", load_rig(tmp_path / "rig.toml")).flags]
+        rig = parse_rig(f'[mechanism]\nmodel = "joint1"\nactuated = [1]\n[sampling]\nrate_hz = {grid}\n')
+        said[grid] = [str(one) for one in load_any_run(tmp_path / "x.csv", rig).flags]
     assert said[50] == [] and "nothing is interpolated" in said[100][0] and "take rate_hz out" in said[100][0]
 
 

@@ -13,8 +13,10 @@ from experiments.cli.main import build_parser
 from experiments.documents import DiagnosisDocument
 from experiments.judge import Files, next_of_change, next_step, with_names
 from experiments.judge.next_steps import RECORD, SENSORS, variable_of
-from experiments.reports.diagnosis_text import diagnosis_text
+from experiments.reports import diagnosis_text
 from tests.support.diagnoses import synthetic
+
+FILES = Files(("a.csv", "my run.csv"), "leg.toml", "ext.json", "d.json")
 
 
 def options_of(command: str) -> set[str]:
@@ -27,7 +29,7 @@ def options_of(command: str) -> set[str]:
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
+def test_every_verdict_has_one_with_a_real_command_and_names_the_files_that_were_given(verdict: Verdict) -> None:
     found = replace(synthetic(), verdict=verdict)
     step = next_step(found)
     assert "\n" not in step and step in diagnosis_text(DiagnosisDocument.of(found))
@@ -36,6 +38,9 @@ def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
     assert commands
     for command, words in commands:
         assert set(re.findall(r"--[a-z-]+", words)) <= options_of(command), step
+    document, named = DiagnosisDocument.of(found), with_names(step, FILES)
+    assert named in diagnosis_text(document, FILES) and with_names(document.headline.action, FILES) == named
+    assert "RIG" not in named and "MODEL.json" not in named and not re.search(r"(?<!NEW_)RUN", named)
 
 
 def test_causes_of_a_change_are_told_apart_as_those_of_a_diagnosis() -> None:
@@ -62,18 +67,6 @@ def test_commands_for_sensors_exist() -> None:
     for command in SENSORS.values():
         assert command.split()[1] in {"calibrate", "doctor"}
         assert options_of(command.split()[1]) is not None
-
-
-FILES = Files(("a.csv", "my run.csv"), "leg.toml", "ext.json", "d.json")
-
-
-@pytest.mark.parametrize("verdict", VERDICTS)
-def test_a_next_step_names_the_files_that_were_given(verdict: Verdict) -> None:
-    found = replace(synthetic(), verdict=verdict)
-    step = with_names(next_step(found), FILES)
-    document = DiagnosisDocument.of(found)
-    assert step in diagnosis_text(document, FILES) and with_names(document.headline.action, FILES) == step
-    assert "RIG" not in step and "MODEL.json" not in step and not re.search(r"(?<!NEW_)RUN", step)
 
 
 def test_a_model_that_was_written_is_not_made_again_and_a_rig_inside_runs_is_not_asked_for() -> None:

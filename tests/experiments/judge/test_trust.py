@@ -30,7 +30,7 @@ from experiments.judge.residuals import autocorrelation, cross_correlation, resi
 from experiments.reports import comparison_text
 from experiments.reports.comparison import comparison_sections
 from experiments.reports.html import render_page
-from tests.support.fits import synthetic_fit
+from tests.support.fits import synthetic_fit, with_slow_gyro
 from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.predictions import predicted_run
@@ -51,9 +51,8 @@ def fits(folder: Path) -> dict[str, str]:
     """Leg -> first line of the fit to its runs but the third, whose model is beside them."""
     said = {}
     for name in ("none", "joint_stiffness"):
-        runs = [str(path) for k in (0, 1) if (path := folder / f"{name}{k}.mcap").exists()]
         with redirect_stdout(io.StringIO()) as out:
-            typed("fit", *runs, "--model-out", folder / f"{name}.json")
+            typed("fit", *sorted(folder.glob(f"{name}[01].mcap")), "--model-out", folder / f"{name}.json")
         said[name] = out.getvalue().splitlines()[0]
     return said
 
@@ -84,25 +83,22 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
         folder: Path, fits: dict[str, str], tmp_path: Path, shell: Shell) -> None:
-    def printed(*arguments: str) -> list[str]:
-        typed(*list(arguments))
+    def printed(*words: object) -> list[str]:
+        shell(*words)
         return shell.out.splitlines()
 
-    def said(*arguments: str) -> str:
-        return printed(*arguments)[0]
-
-    runs = [str(folder / f"none{k}.mcap") for k in range(3)]
-    model, page = str(folder / "none.json"), tmp_path / "p.html"
-    assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
-    assert said("validate", model, runs[0]).startswith(
+    runs = [folder / f"none{k}.mcap" for k in range(3)]
+    model, page = folder / "none.json", tmp_path / "p.html"
+    assert printed("validate", model, runs[2])[0].startswith("TRUST for simulation over 5 s: fit 9")
+    assert printed("validate", model, runs[0])[0].startswith(
         "TRUST WITH CARE for simulation over 5 s: the model was fitted to run none0.mcap")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
-    short, *reasons = printed("fit", *runs[:2], "--rig", str(other))
+    short, *reasons = printed("fit", *runs[:2], "--rig", other)
     assert "the rig file contradicts a run" in short and len(short) <= 120
     assert any(line.startswith("The rig file contradicts a run: none0.mcap") and "lever_arm_m" in line
                for line in reasons[:reasons.index("")])
-    first = said("validate", model, runs[2], "--rig", str(other), "--html", str(page))
+    first, *_ = printed("validate", model, runs[2], "--rig", other, "--html", page)
     assert "lever_arm_m = 0.2, the rig file in use says 0.21, and 1 more" in first
     text = page.read_text()
     assert "lever_arm_m = 0.2, the rig says 0.21" in text[text.index('class="verdict"'):text.index("<h2>")]
@@ -134,8 +130,7 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert fit_trust(sound).sentence.startswith("TRUST the parameters")
     found = fit_trust(noisy)
     assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
-    box = found.headline
-    assert box.title == found.sentence and list(box.lines) == list(found.reasons)
+    assert found.headline.title == found.sentence and list(found.headline.lines) == list(found.reasons)
 
 
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
@@ -154,15 +149,12 @@ def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:
     assert fit_trust(sound).level == "good"
     noisy = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
     assert "residual of a joint without a motor" in fit_trust(noisy).reasons[0]
-    paths = []
-    for path in sound.trajectories:
-        slow = 0.15 * np.sin(0.8 * path.time_s)
-        paths.append(replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow}))
-    both = fit_trust(replace(noisy, trajectories=tuple(paths)))
+    wandering = replace(noisy, trajectories=(with_slow_gyro(*sound.trajectories),))
+    both = fit_trust(wandering)
     assert both.sentence == ("DO NOT TRUST the parameters: a passive joint has a torque residual, a sensor residual is "
                              "autocorrelated.")
     assert re.match(r"The residual of gyro_radps \(0\.\d+\) is autocorrelated \(limit 0\.2\)\.", both.reasons[1])
-    more = replace(noisy, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
+    more = replace(wandering, undetermined=(Combination((("beta8", 1.0),)),))
     assert fit_trust(more).sentence.endswith("not all are determined, a passive joint has a torque residual, and 1 "
                                              "more.")
 

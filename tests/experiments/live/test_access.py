@@ -1,5 +1,6 @@
 """Who may look into the dashboard, and what it answers to nonsense."""
 
+import asyncio
 import select
 import socket
 from pathlib import Path
@@ -54,13 +55,10 @@ def test_only_this_machines_names_are_its_own(host: str, own: bool) -> None:
     ("http", {"host": "leg:1", "cookie": "legid_live_1=é"}, "s3", False)])
 def test_sockets_and_pages_of_strangers_are_refused(kind: str, headers: dict[str, str], token: str | None,
                                                     passes: bool) -> None:
-    import asyncio
+    reached, sent = [], []
 
-    reached = []
-    sent = []
-
-    async def app(scope: dict, receive: object, send: object) -> None:
-        reached.append(scope["type"])
+    async def app(*_: object) -> None:
+        reached.append(kind)
 
     async def send(message: dict) -> None:
         sent.append(message)
@@ -78,17 +76,15 @@ def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.Mon
     assert shell.err == "legid live: needs the extra: pip install legid[live]\n"
 
 
-def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
+def test_bad_arguments_are_one_line(here: Path, shell: Shell) -> None:
     pytest.importorskip("nicegui")
-    out = "--out", tmp_path / "o"
-    shell("live --rig", tmp_path / "none.toml", *out, status=2)
-    (tmp_path / "rig.toml").write_text(RIG)
+    live = "live --out o --rig"
+    assert "none.toml" in shell.fails(live, "none.toml")
+    (here / "rig.toml").write_text(RIG)
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        shell("live --rig", tmp_path / "rig.toml", "--port", port, *out, status=2)
-    shell("live --rig", tmp_path / "rig.toml", "--host nowhere.invalid", *out, status=2)
-    said = shell.err.splitlines()
-    assert len(said) == 3 and "none.toml" in said[0] and "give another, or 0" in said[1] and "--host" in said[2]
+        port = taken.getsockname()[1]
+        assert "give another, or 0" in shell.fails(live, "rig.toml --port", port)
+    assert "--host" in shell.fails(live, "rig.toml --host nowhere.invalid")
 
 
 @pytest.mark.parametrize("error, kind", [

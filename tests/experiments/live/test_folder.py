@@ -2,8 +2,6 @@
 
 import asyncio
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,21 +11,21 @@ from experiments.live import children, started_demo_rig
 from experiments.live.bench import Bench
 from experiments.live.session import Phase, Session
 from experiments.workflows.executor import LocalExecutor
-from tests.support.paths import DEMO_RIG, ROOT
+from tests.support.paths import DEMO_RIG
+from tests.support.processes import ran
 
 NAMES = ("msgspec", "numpy", "pickle", "struct", "socket", "can", "nicegui", "mcap", "sitecustomize", "encodings",
          "multiprocessing", "concurrent", "selectors", "experiments", "daq", "drivers", "estimator", "legid")
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(here: Path) -> Path:
     """The current folder, full of modules that leave a mark when they are imported."""
     for name in NAMES:
-        for path in (tmp_path / f"{name}.py", tmp_path / name / "__init__.py"):
+        for path in (here / f"{name}.py", here / name / "__init__.py"):
             path.parent.mkdir(exist_ok=True)
-            path.write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write(__name__)\n")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+            path.write_text(f"open({str(here / 'ran')!r}, 'a').write(__name__)\n")
+    return here
 
 
 def halved(x: float) -> float:
@@ -55,12 +53,10 @@ def test_workers_neither(folder: Path) -> None:
     """As of the command `legid`, whose first place to look in is the folder of the command itself."""
     code = ("from experiments.workflows.executor import LocalExecutor; from math import sqrt\n"
             "if __name__ == '__main__': print(sorted(LocalExecutor(2).run(sqrt, [4.0, 9.0])))")
-    script = folder / "bin" / "script.py"
+    script = folder / "bin/script.py"
     script.parent.mkdir()
     script.write_text(code)
-    done = subprocess.run([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(ROOT)}, text=True,
-                          capture_output=True, check=True)
-    assert done.stdout == "[(0, 2.0), (1, 3.0)]\n"
+    assert ran(script, cwd=folder).stdout == "[(0, 2.0), (1, 3.0)]\n"
     assert not (folder / "ran").exists()
     assert sorted(LocalExecutor(2).run(halved, [4.0, 9.0])) == [(0, 2.0), (1, 4.5)]
     assert "PYTHONSAFEPATH" not in os.environ

@@ -23,14 +23,13 @@ from drivers.mock import STEP_NS
 from drivers.protocol import Fault
 from experiments.emulation import ServedRig
 from experiments.excite import random_multisine
-from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser, Live, open_page
-from tests.support.processes import REAL_CLOCK
+from tests.support.live_browser import LAPTOP, PHONE, Browser, Live, needs_browser, open_page
+from tests.support.processes import REAL_CLOCK, until
 
 pytestmark = REAL_CLOCK
 
 pytest.importorskip("nicegui")
 pytest.importorskip("selenium")
-needs_browser = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
 QUALITY = "document.querySelector('.quality')?.textContent ?? 'looked at'"
 TICKED = "document.querySelector('.live-runs .q-checkbox').getAttribute('aria-checked')"
 """Of the newest run."""
@@ -46,9 +45,9 @@ class Rig:
             self.served = ServedRig(folder / "rig")
         self.out = folder / "out"
         once = random_multisine(1, 5.0, 0.7)
-        write_plan(once, folder / "rig" / "short.csv")
+        write_plan(once, folder / "rig/short.csv")
         write_plan(Plan(np.arange(12 * len(once.time_s)) / 100.0, np.tile(once.torque_nm, 12)),
-                   folder / "rig" / "long.csv")
+                   folder / "rig/long.csv")
         self.live = self.start()
 
     def start(self, *more: str) -> Live:
@@ -66,10 +65,8 @@ class Rig:
 
     def driven(self) -> None:
         """Wait until the motor has a torque."""
-        deadline = time.monotonic() + 20.0
-        while abs(self.served.mock.firmware.drive.torque_nm) < 0.05:
-            assert time.monotonic() < deadline, "the motor is not driven"
-            time.sleep(0.005)
+        drive = self.served.mock.firmware.drive
+        assert until(lambda: abs(drive.torque_nm) >= 0.05, 20.0), "the motor is not driven"
 
     def off_after_ms(self, from_ns: int) -> float:
         """From then until the commanded torque was zero for good [ms]; it must have been driven then."""
@@ -129,7 +126,7 @@ def test_a_run_by_keyboard_its_curves_its_fit_and_its_report(page: Browser, rig:
         time.sleep(0.4)
     page.wait(lambda: page.js("document.querySelector('#plan').closest('.q-field').innerText").count("short.csv"),
               "the plan is chosen by keyboard")
-    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "start is enabled")
+    page.wait(lambda: page.enabled("start"), "start is enabled")
     page.js("document.getElementById('start').focus()")
     assert page.js("getComputedStyle(document.getElementById('start')).outlineStyle") == "solid"
     page.key(*ENTER)
@@ -266,10 +263,7 @@ def test_a_dashboard_that_hangs_says_so_and_its_recorder_stops(page: Browser, ri
     rig.live.child.send_signal(signal.SIGSTOP)
     try:
         page.wait(lambda: not page.js("document.getElementById('cut').hidden"), "the page says that it is cut off")
-        deadline = time.monotonic() + 10.0
-        while rig.served.mock.firmware.drive.state == State.ARMED:
-            assert time.monotonic() < deadline, "the recorder goes on without an emergency stop"
-            time.sleep(0.05)
+        assert until(lambda: rig.served.mock.firmware.drive.state != State.ARMED, 10.0), "the recorder goes on"
     finally:
         rig.live.child.send_signal(signal.SIGCONT)
     page.phase("Stopped")
@@ -330,8 +324,7 @@ def test_two_fingers_zoom_all_plots_and_two_taps_show_all(page: Browser) -> None
 
 
 def test_another_host_needs_the_token(rig: Rig) -> None:
-    live = rig.start("--host", "0.0.0.0")
-    try:
+    with rig.start("--host", "0.0.0.0") as live:
         parts = urlsplit(live.url)
         here = f"http://127.0.0.1:{parts.port}"
         assert parts.query.startswith("token=") and len(parts.query) > 30
@@ -344,8 +337,6 @@ def test_another_host_needs_the_token(rig: Rig) -> None:
         assert answer.status == 200 and "token" not in answer.url
         assert opener.open(f"{here}/", timeout=10).status == 200
         assert status(here + "/", headers={"Cookie": next(f"{c.name}=wrong" for c in jar.cookiejar)}) == 403
-    finally:
-        live.end()
 
 
 def test_without_a_token_only_this_machines_own_names_are_served(rig: Rig) -> None:
@@ -375,7 +366,7 @@ def test_a_report_cannot_act_and_a_token_can_be_had_on_this_machine(rig: Rig) ->
 def test_the_demo_brings_its_own_rig_and_takes_it_away(tmp_path: Path) -> None:
     with Live("--demo", "--out", str(tmp_path)) as live:
         assert status(live.url) == 200
-        port = Path(load_rig(tmp_path / "rig" / "rig.toml").devices.controller.port)
+        port = Path(load_rig(tmp_path / "rig/rig.toml").devices.controller.port)
         assert port.is_symlink() and len(list((tmp_path / "rig").glob("plan*.csv"))) == 8
         assert live.end() == (0, "")
     assert not port.is_symlink()

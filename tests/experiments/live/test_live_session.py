@@ -25,9 +25,14 @@ PATIENCE_S = 20.0
 @pytest.fixture(scope="module")
 def rig(module_path: Path) -> Iterator[Path]:
     with started_demo_rig(module_path / "rig") as path:
-        t = np.arange(0.0, 8.0, 0.01)
-        write_plan(Plan(t, np.full(t.size, 0.2)), path.parent / "steady.csv")
         yield path
+
+
+def steady(rig: Path, seconds: float = 8.0) -> Path:
+    """A plan of one torque."""
+    path, t = rig.parent / "steady.csv", np.arange(0.0, seconds, 0.01)
+    write_plan(Plan(t, np.full(t.size, 0.2)), path)
+    return path
 
 
 async def driven(session: Session, plan: Path, unattended: bool = False) -> None:
@@ -58,7 +63,7 @@ def torque_zero_ns(path: Path | None) -> int:
 def test_a_run_that_nobody_looks_at_stops(rig: Path, tmp_path: Path) -> None:
     async def run() -> tuple[Session, float]:
         session = Session(rig, tmp_path)
-        await driven(session, rig.parent / "steady.csv")
+        await driven(session, steady(rig))
         left_s = time.monotonic()
         await ended(session)
         return session, left_s
@@ -73,7 +78,7 @@ def test_unattended_on_purpose_goes_on_and_a_stuck_dashboard_costs_the_torque_wi
                                                                                             tmp_path: Path) -> None:
     async def run() -> tuple[Session, int]:
         session = Session(rig, tmp_path)
-        await driven(session, rig.parent / "steady.csv", unattended=True)
+        await driven(session, steady(rig), unattended=True)
         await asyncio.sleep(1.5 * PAGE_SILENT_S)
         assert session.phase is Phase.RECORDING, session.words
         stuck_ns = time.monotonic_ns()
@@ -96,12 +101,9 @@ def test_unattended_on_purpose_goes_on_and_a_stuck_dashboard_costs_the_torque_wi
 def test_a_bought_drive_is_driven_from_the_dashboard(kind: str, tmp_path: Path) -> None:
     """To the end of the plan, with a page open."""
     with started_demo_rig(tmp_path / "rig", drive=kind) as rig:
-        t = np.arange(0.0, 2.0, 0.01)
-        write_plan(Plan(t, np.full(t.size, 0.2)), rig.parent / "short.csv")
-
         async def run() -> Session:
             session = Session(rig, tmp_path)
-            await driven(session, rig.parent / "short.csv")
+            await driven(session, steady(rig, 2.0))
             while session.running:
                 session.page_heard()
                 await asyncio.sleep(0.01)
@@ -119,7 +121,7 @@ def test_a_rig_edited_after_the_page_read_it_is_not_driven(rig: Path, tmp_path: 
     async def run() -> Session:
         session = Session(rig, tmp_path, read_rig_file(rig).sha256)
         rig.write_text(rig.read_text() + "# edited\n")
-        await session.start(rig.parent / "steady.csv")
+        await session.start(steady(rig))
         await ended(session)
         return session
 

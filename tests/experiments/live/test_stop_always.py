@@ -15,15 +15,13 @@ from daq.recording import Plan, write_plan
 from daq.recording.workers import real_time
 from experiments.emulation import ServedRig
 from tests.support.failing_live import ENTRY, PARTS
-from tests.support.live_browser import CHROMIUM, DRIVER, Browser, Live, open_page
-from tests.support.processes import REAL_CLOCK
+from tests.support.live_browser import Browser, Live, needs_browser, open_page
+from tests.support.processes import REAL_CLOCK, until
 
 pytestmark = [REAL_CLOCK, pytest.mark.slow]
 
 pytest.importorskip("nicegui")
 pytest.importorskip("selenium")
-needs_browser = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
-ENABLED = "(e => e !== null && !e.disabled && e.offsetParent !== null)(document.getElementById('stop'))"
 
 
 class FailingRig:
@@ -35,7 +33,7 @@ class FailingRig:
         self.out, self.switch = folder / "out", folder / "failing"
         self.switch.write_text("")
         t = np.arange(0.0, 60.0, 0.01)
-        write_plan(Plan(t, 0.3 * np.sin(7.0 * t)), folder / "rig" / "plan.csv")
+        write_plan(Plan(t, 0.3 * np.sin(7.0 * t)), folder / "rig/plan.csv")
         for path in (folder / "rig").glob("plan?.csv"):
             path.unlink()
         os.environ[ENTRY] = str(self.switch)
@@ -52,8 +50,8 @@ class FailingRig:
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FailingRig]:
-    rig = FailingRig(tmp_path_factory.mktemp("stop"))
+def rig(module_path: Path) -> Iterator[FailingRig]:
+    rig = FailingRig(module_path)
     yield rig
     rig.close()
 
@@ -152,28 +150,21 @@ def stop_works(rig: FailingRig, page: Browser) -> None:
     """Stop is enabled in every phase from here to the end of the torque, and ends it."""
     deadline = time.monotonic() + 20.0
     while not rig.drives():
-        assert page.js(ENABLED) and time.monotonic() < deadline
+        assert page.enabled("stop") and time.monotonic() < deadline
         time.sleep(0.02)
     time.sleep(0.6)  # some turns of the page
-    assert page.js(ENABLED)
+    assert page.enabled("stop")
     page.mouse("stop")
     deadline = time.monotonic() + 5.0
-    while rig.served.mock.firmware.drive.torque_nm != 0.0 or rig.drives():
-        assert page.js(ENABLED) and time.monotonic() < deadline, "still driven after Stop"
-    idle(rig)
-
-
-def idle(rig: FailingRig) -> None:
-    deadline = time.monotonic() + 10.0
-    while rig.served.mock.firmware.drive.state.name == "ARMED":
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    drive = rig.served.mock.firmware.drive
+    while drive.torque_nm != 0.0:
+        assert page.enabled("stop") and time.monotonic() < deadline, "still driven after Stop"
+    assert until(lambda: drive.state.name != "ARMED", 10.0)
 
 
 @needs_browser
 @pytest.mark.parametrize("name", [*REAL, "vanishing files", "socket of the page", *PARTS])
 def test_stop_is_enabled_and_stops_while_something_fails(rig: FailingRig, page: Browser, name: str) -> None:
-    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
     page.click("start")
     with failing(rig, page, name):
         stop_works(rig, page)
@@ -183,16 +174,14 @@ def test_stop_is_enabled_and_stops_while_something_fails(rig: FailingRig, page: 
 @needs_browser
 @pytest.mark.parametrize("name", ["dangling link", "runs: file vanished", "readings", "buttons", "list of runs"])
 def test_a_page_opened_while_something_fails_stops_and_releases(rig: FailingRig, page: Browser, name: str) -> None:
-    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
     page.click("start")
     with failing(rig, page, name):
         page.wait(rig.drives, "the motor is driven")
         page.driver.refresh()
-        page.wait(lambda: page.js(ENABLED), "Stop is enabled")
+        page.wait(lambda: page.enabled("stop"), "Stop is enabled")
         page.mouse("estop")
         page.wait(lambda: not rig.drives(), "the torque is off")
-        page.wait(lambda: page.js("(e => e && !e.hidden)(document.getElementById('release'))"), "Release is shown")
-        page.mouse("release")
+        page.click("release")
         page.wait(lambda: page.js("document.getElementById('release').hidden"), "released")
     page.wait(lambda: page.text("phase") == "Idle", "the page is idle")
 
@@ -219,7 +208,7 @@ def test_a_disk_that_fills_up_while_the_motor_drives_takes_the_torque_off(tmp_pa
             with open_page(rig.live) as page:
                 page.click("start")
                 page.wait(rig.drives, "the motor is driven")
-                assert page.js(ENABLED)
+                assert page.enabled("stop")
                 filler = os.open(disk / "filler", os.O_WRONLY | os.O_CREAT)
                 for size in (4096, 1):
                     with suppress(OSError):
@@ -227,11 +216,10 @@ def test_a_disk_that_fills_up_while_the_motor_drives_takes_the_torque_off(tmp_pa
                             pass
                 deadline = time.monotonic() + 20.0
                 while rig.drives():
-                    assert page.js(ENABLED) and time.monotonic() < deadline, "still driven on a full disk"
+                    assert page.enabled("stop") and time.monotonic() < deadline, "still driven on a full disk"
                 page.wait(lambda: "No space left" in page.text("words"), "the cause is named")
                 os.close(filler)
                 (disk / "filler").unlink()
-                page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled again")
                 page.click("start")
                 stop_works(rig, page)
         finally:

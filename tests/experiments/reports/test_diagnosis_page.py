@@ -1,6 +1,5 @@
 """A diagnosis as JSON, text and page: complete, in the order promised, honest where there is nothing to show."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +12,20 @@ from estimator import Diagnosis, Verdict
 from estimator.diagnosis import Remainder, SensorGain, ShortRuns
 from estimator.model import leg2
 from experiments.documents import DiagnosisDocument
-from experiments.reports import Section, axis_label, diagnosis_sections, key_label, signature_limits, write_diagnosis
-from experiments.reports.diagnosis_text import diagnosis_text
+from experiments.reports import (
+    Picture,
+    Section,
+    axis_label,
+    diagnosis_sections,
+    diagnosis_text,
+    key_label,
+    signature_limits,
+    write_diagnosis,
+)
 from experiments.reports.html import render_page, typeset
 from tests.support.diagnoses import synthetic
 from tests.support.pages import Outside, allowed_script
+from tests.support.shell import read_json
 
 CONTRACT = Path(__file__).parent / "diagnosis.json"
 """Where it gives a rotor no joint, the library does; what is tested at the knee is testable."""
@@ -36,12 +44,16 @@ def sections_of(found: Diagnosis) -> list[Section]:
     return diagnosis_sections(DiagnosisDocument.of(found), found)
 
 
+def pictures_of(found: Diagnosis) -> list[Picture]:
+    return [picture for section in sections_of(found) for picture in section.pictures]
+
+
 def page_of(found: Diagnosis) -> str:
     return render_page("t", "", sections_of(found), verdict=DiagnosisDocument.of(found).headline)
 
 
 def test_document_is_the_contract() -> None:
-    assert DiagnosisDocument.of(synthetic()).document == json.loads(CONTRACT.read_text())
+    assert DiagnosisDocument.of(synthetic()).document == read_json(CONTRACT)
 
 
 def test_errors_of_short_runs_have_rows_of_their_own() -> None:
@@ -60,11 +72,6 @@ def test_an_answer_states_its_probability_and_the_condition(probability: float |
     line = f"Probability of this answer: 0.86, as on simulated legs; {told} if the library has the true causes."
     for text in (text_of(found), " ".join(DiagnosisDocument.of(found).headline.lines)):
         assert (line in text) is bool(told) and ("Probability" in text) is bool(told)
-
-
-def test_joints_are_those_of_the_contract() -> None:
-    assert key_label("rotor_inertia@2") == "rotor_inertia" and key_label("q2 in gyro") == "q2 in gyro"
-    assert key_label("backlash@2") == "backlash, joint 2" and key_label("|q| sign v@2") == "|q| sign v, joint 2"
 
 
 def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
@@ -95,8 +102,7 @@ def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> N
 
 
 def test_errors_lead_where_no_run_is_drawn() -> None:
-    found = replace(synthetic(), traces=())
-    page = page_of(found)
+    page = page_of(replace(synthetic(), traces=()))
     assert "multiples of what noise alone leaves" in page.split("</header>")[0]
 
 
@@ -168,18 +174,25 @@ def test_verdicts_with_less_to_show(verdict: Verdict) -> None:
         assert text_of(found).startswith(found.sentence)
 
 
-def test_sensor_names_carry_their_units() -> None:
+def test_sensors_have_units_and_joints_are_those_of_the_contract() -> None:
     assert [axis_label(c) for c in ("q2_rad", "gyro_radps", "accel_x_mps2")] == ["q2 [rad]", "gyro [rad/s]",
                                                                                  "accel_x [m/s²]"]
+    keys = {"rotor_inertia@2": "rotor_inertia", "q2 in gyro": "q2 in gyro", "backlash@2": "backlash, joint 2",
+            "|q| sign v@2": "|q| sign v, joint 2"}
+    assert [key_label(key) for key in keys] == list(keys.values())
+
+
+def with_two_rotors() -> Diagnosis:
+    whole = synthetic()
+    rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
+    return replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)))
 
 
 def test_no_column_is_empty_and_no_two_candidates_are_called_alike() -> None:
     """Two motors have two rotors, though a contract counts them as one effect; a fit that does not settle has no
     intervals."""
-    whole = synthetic()
-    rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
-    found = replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)), extended={}, extended_std={},
-                    nominal_std=dict.fromkeys(whole.nominal, float("inf")))
+    whole = with_two_rotors()
+    found = replace(whole, extended={}, extended_std={}, nominal_std=dict.fromkeys(whole.nominal, float("inf")))
     sections = {s.title: s for s in sections_of(replace(found, mechanism=leg2(lever_arm=0.2)))}
     named = [row[0] for row in sections["Candidates"].tables[0].rows]
     assert len(set(named)) == len(named) and "rotor_inertia, joint 1" in named
@@ -192,10 +205,10 @@ def test_the_lead_figure_shows_the_joint_of_the_cause() -> None:
     found = synthetic()
     for joint in (1, 2):
         moved = replace(found, causes=(replace(found.causes[0], joint=joint),))
-        (lead,) = [p for s in sections_of(moved) for p in s.pictures if p.leads]
+        (lead,) = (p for p in pictures_of(moved) if p.leads)
         assert lead.caption.startswith(f"q{joint}_rad in run")
     unnamed = replace(found, causes=(), remainder=Remainder(1, "torque1", "q v"))
-    (lead,) = [p for s in sections_of(unnamed) for p in s.pictures if p.leads]
+    (lead,) = (p for p in pictures_of(unnamed) if p.leads)
     assert lead.caption.startswith("q1_rad")
 
 
@@ -203,7 +216,7 @@ def test_a_caption_says_what_paper_shows_and_a_flat_signature_is_no_picture() ->
     found = synthetic()
     trace = found.traces[0]
     long = replace(trace, time_s=np.linspace(0.0, 20.0, trace.time_s.size))
-    pictures = [p for s in sections_of(replace(found, traces=(long,))) for p in s.pictures]
+    pictures = pictures_of(replace(found, traces=(long,)))
     assert {p.still for p in pictures if p.chart} == {"The first 12 of 20 s."}
     assert not any("12 " in p.caption for p in pictures)
     flat = replace(found.signatures[0], before=0.01 * found.signatures[0].curve)
@@ -235,7 +248,5 @@ def test_text_and_page_of_a_file_are_those_of_the_result_without_its_curves(tmp_
 
 
 def test_two_rotors_are_told_apart_in_the_document() -> None:
-    whole = synthetic()
-    rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
-    found = DiagnosisDocument.of(replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)))).document
+    found = DiagnosisDocument.of(with_two_rotors()).document
     assert [(c["joint"], c.get("motor")) for c in found["candidates"][2:]] == [(None, 2), (None, None), (None, 1)]

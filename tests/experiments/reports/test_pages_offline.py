@@ -11,39 +11,37 @@ import pytest
 from daq import load_rig
 from daq.recording import write_plan
 from estimator import RunAgreement
-from experiments import cli
 from experiments.documents import DiagnosisDocument
 from experiments.emulation import LegBody
 from experiments.excite import random_multisine
 from experiments.judge import estimates_of, model_of
-from experiments.models import save_model
-from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models import mechanism_settings, save_model
 from experiments.provenance import origin_of
 from experiments.reports import (
     BLUE,
     Line,
+    Picture,
     Section,
     Table,
     diagnosis_sections,
-    fit_sections,
     fit_summary,
     picture_lines,
     truth_section,
     write_diagnosis,
     write_page,
 )
-from experiments.reports.html import Picture
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.session import prepare
 from studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
 from studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
-from tests.support.fits import document_of, synthetic_fit
-from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
+from tests.support.fits import document_of, sections_of, synthetic_fit
+from tests.support.live_browser import LAPTOP, PHONE, Browser, needs_browser
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import FIXTURES
+from tests.support.shell import typed
 
-pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
+pytestmark = needs_browser
 WIDTHS = ("[...document.querySelectorAll('figure')].map(f => "
           "(f.querySelector('canvas') ?? f.querySelector('svg')).getBoundingClientRect().width)")
 """Of what each figure shows."""
@@ -52,12 +50,12 @@ PAGES = ("fit", "diagnosis", "validation", "casebook", "study", "demo")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_path: Path) -> Path:
     """One page of each kind, by what writes them for a user."""
-    out = tmp_path_factory.mktemp("pages")
+    out = module_path
     result, found = synthetic_fit(), synthetic()
     write_page(out / "fit.html", "Fit of leg2: run1.mcap", fit_summary(document_of(result)),
-               fit_sections(document_of(result), result))
+               sections_of(result))
     prepared = prepare([FIXTURES / "healthy.mcap"], load_rig(RIG))
     document = DiagnosisDocument.of(found, prepared.set_aside, prepared.setup.datasets, "leg2")
     document.provenance = origin_of([FIXTURES / "healthy.mcap"])
@@ -66,25 +64,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
                [Section("What was hidden", ["Something."]), *diagnosis_sections(document, found),
                 truth_section(result.mechanism, estimates_of(result), truth),
-                *fit_sections(document_of(result), result)])
+                *sections_of(result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))
     diagnose = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("stribeck_friction",))
     write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")], [],
                                                  [Diagnosed(diagnose, found, "")])])
     save_model(model_of(result, mechanism_settings(load_rig(RIG)), "zero", ["a"]), out / "model.json")
     write_plan(random_multisine(1, 5.0, 0.3), out / "plan.csv")
-    run(out, "simulate", "model.json", "--plan", "plan.csv", "--out", "run.csv", "--noise-seed", "1")
-    run(out, "validate", "model.json", "run.csv", "--rig", str(RIG), "--html", "validation.html")
-    run(out, "monte-carlo", "biped3", "--runs", "3", "--cases", "1", "--methods", "wls", "--workers", "1", "--out",
-        "study")
-    (out / "study" / "report.html").rename(out / "study.html")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(out)
+        typed("simulate model.json --plan plan.csv --out run.csv --noise-seed 1")
+        typed("validate model.json run.csv --html validation.html --rig", RIG)
+        typed("monte-carlo biped3 --runs 3 --cases 1 --methods wls --workers 1 --out study")
+    (out / "study/report.html").rename(out / "study.html")
     return out
 
 
-def run(folder: Path, *arguments: str) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        assert cli.main(arguments) == 0
+def unscripted(page: Path) -> Path:
+    """The same page without its scripts."""
+    out = page.with_name("unscripted.html")
+    out.write_text(re.sub("<script.*?</script>", "", page.read_text(), flags=re.DOTALL))
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -96,26 +96,23 @@ def browser() -> Iterator[Browser]:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_from_the_disk_fetches_nothing_and_fits(folder: Path, browser: Browser, name: str) -> None:
-    url = (folder / f"{name}.html").as_uri()
+    page = folder / f"{name}.html"
     browser.collect()
     browser.requests.clear()
     for size in (LAPTOP, PHONE):
-        browser.resize(size)
-        browser.driver.get(url)
+        browser.show(page, size)
         assert browser.js("document.querySelectorAll('h2').length") > 0
         browser.js(UNFOLD)
         assert browser.sideways() <= 0
         drawn = browser.js(WIDTHS)
         assert drawn and np.min(drawn) > 200
     browser.collect()
-    assert {request for request in browser.requests if not request.startswith("data:")} == {url}
+    assert {request for request in browser.requests if not request.startswith("data:")} == {page.as_uri()}
     assert browser.complaints() == []
 
 
 def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(folder: Path, browser: Browser) -> None:
-    url = (folder / "fit.html").as_uri()
-    browser.resize(LAPTOP)
-    browser.driver.get(url)
+    browser.show(folder / "fit.html")
     shown = "[...document.querySelectorAll('.plot canvas, .chart > svg')].map(e => [e.tagName, e.offsetWidth ?? " \
             "e.getBoundingClientRect().width])"
     labels = "[...document.querySelectorAll('.plot .u-legend')].map(e => e.querySelector('.u-value').textContent)"
@@ -137,24 +134,21 @@ def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(fol
     browser.wait(lambda: times()[-1] < 6.5, "the other figures follow")
     assert np.ptp(times()) < 0.05 and times()[0] == pytest.approx(6.0, abs=0.3)
     for media in ("print", ""):
-        browser.cdp("Emulation.setEmulatedMedia", media=media)
+        browser.media(media)
         sizes = browser.js(shown)
         paper = [size for name, size in sizes if name == "svg"]
         screen = [size for name, size in sizes if name == "CANVAS"]
         assert (min(paper[:3]) > 100 and max(screen) == 0) if media else (
             max(paper[:3]) == 0 and min(screen) > 200), (media, sizes)
     # The browser's own switch for scripts races with the page's load, so the page goes without them.
-    unscripted = folder / "unscripted.html"
-    unscripted.write_text(re.sub("<script.*?</script>", "", (folder / "fit.html").read_text(), flags=re.DOTALL))
-    browser.driver.get(unscripted.as_uri())
+    browser.show(unscripted(folder / "fit.html"))
     assert np.min(browser.js("[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().width)")
                   ) > 200
     assert browser.complaints() == []
 
 
 def test_two_fingers_zoom_and_two_taps_show_all(folder: Path, browser: Browser) -> None:
-    browser.resize(PHONE)
-    browser.driver.get((folder / "diagnosis.html").as_uri())
+    browser.show(folder / "diagnosis.html", PHONE)
     shown = ("(o => [...document.querySelectorAll('.plot .uplot')].length)()", "uPlot.sync('run').plots"
              ".map(u => [u.scales.x.min, u.scales.x.max])")
     browser.js("document.querySelector('.u-over').scrollIntoView({block: 'center'})")
@@ -178,8 +172,7 @@ def test_two_fingers_zoom_and_two_taps_show_all(folder: Path, browser: Browser) 
 
 
 def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> None:
-    browser.resize(LAPTOP)
-    browser.driver.get((folder / "diagnosis.html").as_uri())
+    browser.show(folder / "diagnosis.html")
 
     def drawn() -> list[list[str]]:
         found: list[list[str]] = browser.js(
@@ -195,23 +188,20 @@ def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> 
 
 def test_folded_sections_open_by_hand_by_a_link_and_on_paper(folder: Path, browser: Browser) -> None:
     """Without any script: rows of tables in folded sections have no height until then."""
-    page = re.sub("<script.*?</script>", "", (folder / "diagnosis.html").read_text(), flags=re.DOTALL)
-    (folder / "unscripted.html").write_text(page)
-    browser.resize(LAPTOP)
-    url = (folder / "unscripted.html").as_uri()
+    page = unscripted(folder / "diagnosis.html")
     seen = "[...document.querySelectorAll('details tbody tr')].filter(e => e.checkVisibility({contentVisibilityAuto: " \
            "true})).length"
     rows = "document.querySelectorAll('details tbody tr').length"
-    browser.driver.get(url)
+    browser.show(page)
     assert browser.js(rows) > 20 and browser.js(seen) == 0
-    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    browser.media("print")
     browser.wait(lambda: browser.js(seen) == browser.js(rows), "paper shows all")
-    browser.cdp("Emulation.setEmulatedMedia", media="")
+    browser.media("")
     browser.wait(lambda: browser.js(seen) == 0, "the screen shows none")
     browser.js("document.querySelector('details:has(tbody) > summary').click()")
     browser.wait(lambda: 0 < browser.js(seen) < browser.js(rows), "one section opens")
-    (anchor,) = re.findall(r'id="(s\d+-candidates)"', page)
-    browser.driver.get(f"{url}#{anchor}")
+    (anchor,) = re.findall(r'id="(s\d+-candidates)"', page.read_text())
+    browser.driver.get(f"{page.as_uri()}#{anchor}")
     browser.wait(lambda: browser.js(f"document.getElementById('{anchor}').parentElement.open"), "the section opens")
 
 
@@ -221,18 +211,17 @@ def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: B
     agreement = RunAgreement(runs, 1e-4, plain.std, True, np.full(p, 2.4), plain.beta, np.full(p, 1.234e-4),
                              np.tile(plain.beta, (len(runs), 1)), np.ones(p, dtype=bool))
     found = replace(plain, agreement=agreement)
-    write_page(tmp_path / "fit.html", "Fit", "", fit_sections(document_of(found), found))
+    write_page(tmp_path / "fit.html", "Fit", "", sections_of(found))
     for width in (1400, 1180, 1130, 900):
-        browser.resize((width, 900))
-        browser.driver.get((tmp_path / "fit.html").as_uri())
+        browser.show(tmp_path / "fit.html", (width, 900))
         over = browser.js("Math.max(...[...document.querySelectorAll('table')].map(t => "
                           "t.getBoundingClientRect().right - t.parentElement.getBoundingClientRect().right))")
         assert over <= 0.5, width
     browser.resize((680, 900))
-    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    browser.media("print")
     lines = browser.js("[...document.querySelectorAll('td.unit')].map(cell => { const r = document.createRange(); "
                        "r.selectNodeContents(cell); return r.getClientRects().length })")
-    browser.cdp("Emulation.setEmulatedMedia", media="")
+    browser.media("")
     assert lines and max(lines) == 1
 
 
@@ -242,8 +231,7 @@ def test_axes_have_different_marks_whatever_the_size_of_the_values(tmp_path: Pat
     for size in (3e-9, 1e-5, 0.019, 0.9, 3e4):
         picture = picture_lines(t, [Line("a", size * np.sin(t), BLUE)], "y", "c", 5.0)
         write_page(tmp_path / "p.html", "x", "y", [Section("s", pictures=[picture])])
-        browser.resize(LAPTOP)
-        browser.driver.get((tmp_path / "p.html").as_uri())
+        browser.show(tmp_path / "p.html")
         marks = browser.js("uPlot.sync('run').plots[0].axes[1]._values")
         assert len(set(marks)) == len(marks) >= 3, marks
 
@@ -255,8 +243,7 @@ def test_a_figure_shares_a_row_with_a_table_only_if_both_have_room(tmp_path: Pat
     svg = '<svg viewBox="0 0 1 1"></svg>'
     write_page(tmp_path / "p.html", "x", "y", [Section("s", ["words"], [table], [Picture(svg, "c")])])
     for width in (1285, 1400, 1900):
-        browser.resize((width, 900))
-        browser.driver.get((tmp_path / "p.html").as_uri())
+        browser.show(tmp_path / "p.html", (width, 900))
         apart = browser.js("(t => (f => f.left >= t.right || f.top >= t.bottom)(document.querySelector('figure')"
                            ".getBoundingClientRect()))(document.querySelector('table').getBoundingClientRect())")
         assert apart and browser.js("document.documentElement.scrollWidth <= innerWidth")
@@ -265,24 +252,23 @@ def test_a_figure_shares_a_row_with_a_table_only_if_both_have_room(tmp_path: Pat
 def test_commands_break_at_spaces_alone_and_are_copied_as_typed(tmp_path: Path, browser: Browser) -> None:
     """On a phone, where `--model-out` met the end of a line, a browser broke it behind a hyphen."""
     files = " ".join(f"2026-11-23-left-leg-after-service-{k}.mcap" for k in range(3))
-    typed = f"legid fit {files} --rig 'my rig.toml' --model-out \"m^2 % `x`.json\" --html <page>.html --clear-faults"
+    command = f"legid fit {files} --rig 'my rig.toml' --model-out \"m^2 % `x`.json\" --html <page>.html --clear-faults"
     words = [f"{'x' * k} use --six-positions or legid monte-carlo --clear-faults --model-out" for k in range(12)]
     table = Table(["a", "b"], [["y", text] for text in words])
-    write_page(tmp_path / "p.html", "x", words[3], [Section("s", words, [table], notes=words, command=typed)])
+    write_page(tmp_path / "p.html", "x", words[3], [Section("s", words, [table], notes=words, command=command)])
     copied = ("(s => { s.selectAllChildren(document.querySelector('.command')); const text = s.toString(); "
               "s.removeAllRanges(); return text })(getSelection())")
     for size in (PHONE, (320, 700), LAPTOP):
-        browser.resize(size)
-        browser.driver.get((tmp_path / "p.html").as_uri())
-        assert browser.js(copied) == typed
+        browser.show(tmp_path / "p.html", size)
+        assert browser.js(copied) == command
         lines = browser.js("[...document.querySelectorAll('.whole')].map(e => [e.textContent, "
                            "e.getClientRects().length])")
-        assert len(lines) == len(typed.split(" ")) + 4 * 37 and {n for _, n in lines} == {1}
+        assert len(lines) == len(command.split(" ")) + 4 * 37 and {n for _, n in lines} == {1}
         assert {"--six-positions", "monte-carlo", "--model-out"} < {text for text, _ in lines}
         assert browser.sideways() <= 0
-    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    browser.media("print")
     cut = browser.js("(c => c.scrollWidth - c.clientWidth)(document.querySelector('.command'))")
-    browser.cdp("Emulation.setEmulatedMedia", media="")
+    browser.media("")
     assert cut <= 0
 
 

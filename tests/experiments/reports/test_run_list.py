@@ -9,8 +9,7 @@ import pytest
 
 from daq.runs import RunWriter
 from estimator import VERDICTS, Verdict
-from experiments.cli import main
-from tests.support.shell import Shell
+from tests.support.shell import Shell, document
 
 RIG = '[mechanism]\nmodel = "{model}"\nactuated = [2]\n'
 DAY_NS = 86_400 * 10**9
@@ -47,7 +46,7 @@ def write_diagnosis(path: Path, verdict: str, runs: Mapping[str, list[str]], cau
 def folder(tmp_path: Path) -> Path:
     write_run(tmp_path / "b.mcap", 3, 1.0, lost=4)
     write_run(tmp_path / "a.mcap", 5, 2.0, event=("limit q1_rad", "q1 is 1.7 rad; stop sent"))
-    write_run(tmp_path / "deep" / "a.mcap", 1, 1.5, model="chain", gaps=2)
+    write_run(tmp_path / "deep/a.mcap", 1, 1.5, model="chain", gaps=2)
     (tmp_path / "broken.mcap").write_bytes(b"not a run")
     (tmp_path / "model.json").write_text('{"schema": "legid.model/1"}')
     (tmp_path / "other.json").write_text("[1, 2")
@@ -58,14 +57,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 def listed(folder: Path, *more: str) -> list[dict[str, object]]:
-    out = folder / "out.txt"
-    assert main(["runs", str(folder), "--json", str(out), *more]) == 0
-    document = json.loads(out.read_text())
-    assert document["schema"] == "legid.runs/1"
-    return list(document["runs"])
+    found = document("runs", folder, *more)
+    assert found["schema"] == "legid.runs/1"
+    return list(found["runs"])
 
 
-def test_every_run_with_what_is_known_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_run_with_what_is_known_of_it(folder: Path, shell: Shell) -> None:
     runs = listed(folder)
     assert [r["file"] for r in runs] == ["deep/a.mcap", "b.mcap", "a.mcap", "broken.mcap"]
     chain, b, a, broken = runs
@@ -80,7 +77,7 @@ def test_every_run_with_what_is_known_of_it(folder: Path, capsys: pytest.Capture
     assert (a["verdict"], a["diagnosis"], a["causes"]) == ("named", "new.json", ["backlash@2", "gyro_bias"])
     assert (b["verdict"], b["diagnosis"]) == ("none", "old.json")
     assert chain["verdict"] is None  # its namesake in the folder above was diagnosed, not this one
-    text = capsys.readouterr().out
+    text = shell.out
     assert "named backlash@2 gyro_bias" in text and "2026-01-03 00:00:00" in text and "4 runs" in text
 
 
@@ -93,18 +90,18 @@ def test_every_verdict_is_a_filter(verdict: Verdict, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("filters", "files"), [
-    (["--model", "leg2"], ["b.mcap", "a.mcap"]),
-    (["--since", "2026-01-03"], ["b.mcap", "a.mcap"]),
-    (["--until", "2026-01-03"], ["deep/a.mcap", "b.mcap"]),
-    (["--since", "2026-01-02", "--until", "2026-01-04"], ["b.mcap"]),
-    (["--verdict", "named"], ["a.mcap"]),
-    (["--verdict", "-"], ["deep/a.mcap", "broken.mcap"]),
-    (["--faulty", "--model", "leg2", "--verdict", "none"], ["b.mcap"]),
-    (["--model", "joint1"], []),
+    ("--model leg2", ["b.mcap", "a.mcap"]),
+    ("--since 2026-01-03", ["b.mcap", "a.mcap"]),
+    ("--until 2026-01-03", ["deep/a.mcap", "b.mcap"]),
+    ("--since 2026-01-02 --until 2026-01-04", ["b.mcap"]),
+    ("--verdict named", ["a.mcap"]),
+    ("--verdict -", ["deep/a.mcap", "broken.mcap"]),
+    ("--faulty --model leg2 --verdict none", ["b.mcap"]),
+    ("--model joint1", []),
 ])
-def test_filters(folder: Path, filters: list[str], files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert [r["file"] for r in listed(folder, *filters)] == files
-    assert f"{len(files)} of 4 runs" in capsys.readouterr().out
+def test_filters(folder: Path, filters: str, files: list[str], shell: Shell) -> None:
+    assert [r["file"] for r in listed(folder, filters)] == files
+    assert f"{len(files)} of 4 runs" in shell.out
 
 
 def test_a_run_that_is_whole_is_not_faulty(tmp_path: Path) -> None:
@@ -112,13 +109,11 @@ def test_a_run_that_is_whole_is_not_faulty(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     write_run(cut, 2, 1.0)
     cut.write_bytes(cut.read_bytes()[:-200])
-    assert [r["file"] for r in listed(tmp_path, "--faulty")] == ["cut.mcap"]
-    assert listed(tmp_path, "--faulty")[0]["ended"] == "file cut off"
+    assert [(r["file"], r["ended"]) for r in listed(tmp_path, "--faulty")] == [("cut.mcap", "file cut off")]
 
 
-def test_bad_arguments_are_one_line(tmp_path: Path, shell: Shell) -> None:
-    shell("runs", tmp_path / "nowhere", status=2)
-    shell("runs", tmp_path, "--since yesterday", status=2)
-    assert shell.err.count("\n") == 2
-    shell("runs", tmp_path)
+def test_bad_arguments_are_one_line(here: Path, shell: Shell) -> None:
+    shell.fails("runs nowhere")
+    shell.fails("runs", here, "--since yesterday")
+    shell("runs", here)
     assert shell.out == "0 runs\n"

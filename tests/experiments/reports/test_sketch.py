@@ -1,16 +1,13 @@
 """The sketch of a mechanism: its places against the contract's geometry, its words, and that pages have it."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
 
 from estimator.model import biped3, chain, joint1, leg2
-from experiments.reports import fit_sections
 from experiments.reports.sketch import draw_mechanism, joint_places, sketch_pictures
-from tests.support.fits import document_of, synthetic_fit
+from tests.support.fits import sections_of, synthetic_fit
 
 
 def test_links_hang_one_on_the_other_and_grow_to_the_right() -> None:
@@ -47,5 +44,5 @@ def test_a_link_s_name_stands_on_the_far_side_of_its_angle(pose: float, anchor: 
 
 def test_a_slide_has_none_and_a_page_of_a_fit_has_one() -> None:
     assert sketch_pictures(joint1(prismatic=True), np.zeros((2, 1)), np.zeros(2), "") == []
-    parameters = fit_sections(document_of(synthetic_fit()), synthetic_fit())[0]
+    parameters = sections_of(synthetic_fit())[0]
     assert "Arrows show the sense" in parameters.pictures[0].caption

@@ -6,17 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.rig import parse_rig
-from daq.runs.csv_run import write_csv
-from daq.runs.mcap_run import RunWriter, read_run
-from daq.timing.align import align, recorded_rig
-from estimator.calibration.distance_meter import DistanceMeter
-from estimator.fitting.fit import fit
+from daq import InputError, parse_rig
+from daq.runs import RunWriter, read_run, write_csv
+from daq.timing import align, recorded_rig
+from estimator import fit
+from estimator.calibration import DistanceMeter
 from experiments.session import prepare
 from studies.biped3.study import CASES, case_options, noisy_record
 from studies.walker import one_step
 from tests.support.paths import FIXTURES
+from tests.support.runs import with_columns, without
 
 RIG = """[mechanism]
 model = "biped3"
@@ -36,9 +35,8 @@ METER = DistanceMeter(0.6, 0.6, 5e-4, 2e-3)
 def test_a_csv_of_distances_is_fitted_with_the_noise_of_each(tmp_path: Path) -> None:
     step = one_step()
     data = noisy_record(step, CASES[0], 5, 0)
-    columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
     distance = METER.read(step.q[:, 0], np.random.default_rng(4))
-    write_csv(replace(data, columns={**columns, "distance_m": distance}), tmp_path / "walk.csv")
+    write_csv(with_columns(without(data, "q1_rad"), distance_m=distance), tmp_path / "walk.csv")
     setup = prepare([tmp_path / "walk.csv"], parse_rig(RIG)).setup
     sigma = setup.datasets[0]["q1_sigma_rad"]
     assert np.ptp(sigma) > 0.1 * sigma.mean()

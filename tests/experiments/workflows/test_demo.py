@@ -1,6 +1,5 @@
 """The demo end to end: what it says, its files, documents by their schemas."""
 
-import json
 import re
 from contextlib import redirect_stdout
 from io import StringIO
@@ -8,19 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from experiments import cli
 from experiments.excite import random_multisine
 from experiments.models import load_model
 from tests.support.pages import allowed_script
-from tests.support.shell import Shell, document
+from tests.support.shell import Shell, document, read_json, typed, values
 
 
 @pytest.fixture(scope="module")
 def demo(module_path: Path) -> Path:
     """What a demo of four short runs leaves behind, and `said.txt` for what it printed."""
-    args = ["demo", "--out", str(module_path), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
     with redirect_stdout(StringIO()) as said:
-        assert cli.main(args) == 0, said.getvalue()
+        typed("demo --seconds 6 --runs 4 --effect torque_offset --out", module_path)
     (module_path / "said.txt").write_text(said.getvalue())
     return module_path
 
@@ -29,7 +26,7 @@ def demo(module_path: Path) -> Path:
 def test_it_says_what_was_hidden_what_was_found_and_where_it_is(demo: Path) -> None:
     said = (demo / "said.txt").read_text()
     assert "Hidden in it: a shunt that reads 0.04 N m too much." in said
-    assert json.loads((demo / "diagnosis.json").read_text())["sentence"] in said
+    assert read_json(demo / "diagnosis.json")["sentence"] in said
     for name in ("report.html", "fit.html", "model.json", "extended.json", "fit.json", "diagnosis.json",
                  "validation.json", "rig.toml", "demo-run*.mcap"):
         assert str(demo / name) in said
@@ -39,16 +36,16 @@ def test_it_says_what_was_hidden_what_was_found_and_where_it_is(demo: Path) -> N
 
 @pytest.mark.slow
 def test_documents_follow_their_schemas(demo: Path) -> None:
-    fit = json.loads((demo / "fit.json").read_text())
+    fit = read_json(demo / "fit.json")
     assert fit["schema"] == "legid.fit/1" and fit["converged"] and len(fit["parameters"]) == 9
     model = load_model(demo / "model.json")
     assert model.provenance.runs == ("demo-run1.mcap", "demo-run2.mcap", "demo-run3.mcap") and not model.effects
-    assert [p.value for p in model.parameters] == pytest.approx([p["value"] for p in fit["parameters"]])
-    found = json.loads((demo / "diagnosis.json").read_text())
+    assert [p.value for p in model.parameters] == pytest.approx(values(fit))
+    found = read_json(demo / "diagnosis.json")
     assert found["schema"] == "legid.diagnosis/1" and found["runs"]["confirm"] == ["demo-run4.mcap"]
     extended = load_model(demo / "extended.json")
     assert {e.name for e in extended.effects} <= {cause["effect"] for cause in found["causes"]}
-    (run,) = json.loads((demo / "validation.json").read_text())["runs"]
+    (run,) = read_json(demo / "validation.json")["runs"]
     assert run["run"] == "demo-run4.mcap" and not run["diverged"]
     assert run["rmse"]["q1_rad"] < 0.05 and run["rmse"]["q2_rad"] < 0.1
 
@@ -72,16 +69,15 @@ def test_report_tells_what_was_hidden(demo: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, shell: Shell) -> None:
-    model, page = tmp_path / "m.json", tmp_path / "v.html"
-    found = document("fit", demo / "demo-run1.mcap", "--rig", demo / "rig.toml", "--model-out", model, "--html",
-                     tmp_path / "f.html", "--fix beta9=0.04")
+def test_fit_and_validate_work_on_its_files(demo: Path, here: Path, shell: Shell) -> None:
+    found = document("fit", demo / "demo-run1.mcap", "--rig", demo / "rig.toml",
+                     "--model-out m.json --html f.html --fix beta9=0.04")
     assert "given" in shell.out
     rows = {p["name"]: p for p in found["parameters"]}
     assert rows["beta9"]["value"] == 0.04 and rows["beta9"]["fixed"]
-    found = document("validate", model, demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--html", page)
+    found = document("validate m.json", demo / "demo-run3.mcap", "--rig", demo / "rig.toml", "--html v.html")
     assert found["schema"] == "legid.validation/1"
-    assert "demo-run3.mcap" in page.read_text()
+    assert "demo-run3.mcap" in (here / "v.html").read_text()
 
 
 def test_the_plan_is_drawn_from_the_seed() -> None:

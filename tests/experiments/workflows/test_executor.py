@@ -124,11 +124,11 @@ def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[
 
 @pytest.mark.slow
 def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[subprocess.Popen]],
-                                                       tmp_path: Path, shell: Shell) -> None:
+                                                       here: Path, shell: Shell) -> None:
     """Through the command; the killed worker's blocks are done by the other, with the numbers of a run without both."""
     address, processes = cluster
     work = blocks(CASES[1:2], ["mle", FLOOR], 250, 6)
-    kept = tmp_path / "study" / "blocks"
+    kept = here / "study/blocks"
 
     def kill_half_way() -> None:
         while len(list(kept.glob("*.npz"))) < len(work) // 3:
@@ -137,8 +137,7 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
 
     killer = threading.Thread(target=kill_half_way)
     killer.start()
-    shell("monte-carlo biped3 --runs 250 --cases 2 --methods mle --seed 6 --cluster", address, "--out",
-          tmp_path / "study")
+    shell("monte-carlo biped3 --runs 250 --cases 2 --methods mle --seed 6 --cluster", address, "--out study")
     killer.join(timeout=30)
     assert processes[1].wait(timeout=30) == -signal.SIGKILL
     assert processes[2].poll() is None

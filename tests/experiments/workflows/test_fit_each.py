@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runs import write_csv
+from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, record
-from tests.support.shell import Shell, document
+from tests.support.shell import Shell, document, values
 
 RIG = """
 [mechanism]
@@ -19,34 +19,32 @@ lever_arm_m = 0.2
 
 
 @pytest.fixture(scope="module")
-def runs(module_path: Path) -> tuple[Path, list[Path]]:
-    rig = module_path / "rig.toml"
-    rig.write_text(RIG)
-    paths = []
-    for k in range(3):
-        paths.append(module_path / f"r{k}.csv")
-        write_csv(record(Leg(), np.random.default_rng(k), seconds=6.0), paths[-1])
-    return rig, paths
+def rig(module_path: Path) -> Path:
+    path = module_path / "rig.toml"
+    path.write_text(RIG)
+    return path
 
 
-def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], shell: Shell) -> None:
-    rig, paths = runs
-    fits = document("fit --each", *paths, "--rig", rig, "--workers 2")["fits"]
+@pytest.fixture(scope="module")
+def runs(module_path: Path) -> list[Path]:
+    return [table_of(record(Leg(), k, seconds=6.0), module_path / f"r{k}.csv")
+            for k in range(3)]
+
+
+def test_each_run_gets_its_own_fit_in_order(runs: list[Path], rig: Path, shell: Shell) -> None:
+    fits = document("fit --each", *runs, "--rig", rig, "--workers 2")["fits"]
     assert [Path(fit["run"]).name for fit in fits] == ["r0.csv", "r1.csv", "r2.csv"]
-    alone = document("fit", paths[1], "--rig", rig)["parameters"]
-    np.testing.assert_allclose([p["value"] for p in fits[1]["parameters"]], [p["value"] for p in alone], rtol=1e-9)
+    np.testing.assert_allclose(values(fits[1]), values(document("fit", runs[1], "--rig", rig)), rtol=1e-9)
     assert "r2.csv" in shell.out
 
 
-def test_one_bad_file_does_not_stop_the_others(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
-    rig, paths = runs
-    bad = tmp_path / "bad.csv"
+def test_one_bad_file_does_not_stop_the_others(runs: list[Path], rig: Path, here: Path, shell: Shell) -> None:
+    bad = here / "bad.csv"
     bad.write_text("time_s,q2_rad\n0,x\n")
-    shell("fit --each", bad, paths[0], "--rig", rig, "--workers 1", status=2)
+    shell("fit --each bad.csv", runs[0], "--rig", rig, "--workers 1", status=2)
     out = shell.out
     assert "not fitted" in out and "r0.csv" in out
 
 
-def test_each_makes_no_model(runs: tuple[Path, list[Path]], tmp_path: Path, shell: Shell) -> None:
-    rig, paths = runs
-    assert "--each" in shell.fails("fit --each", paths[0], "--rig", rig, "--model-out", tmp_path / "m.json")
+def test_each_makes_no_model(runs: list[Path], rig: Path, here: Path, shell: Shell) -> None:
+    assert "--each" in shell.fails("fit --each", runs[0], "--rig", rig, "--model-out m.json")

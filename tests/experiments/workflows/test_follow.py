@@ -26,17 +26,16 @@ BODY = Leg(viscous=(0.02, 0.03), coulomb=(0.01, 0.02))
 
 @pytest.fixture
 def run() -> Dataset:
-    return follow(BODY, np.random.default_rng(6), gain=8.0, damping=0.2, limit=1.0, seconds=5.0)
+    return follow(BODY, 6, gain=8.0, damping=0.2, limit=1.0, seconds=5.0)
 
 
-def test_the_leg_follows_the_plan(tmp_path: Path, run: Dataset, shell: Shell) -> None:
+def test_the_leg_follows_the_plan(here: Path, run: Dataset, shell: Shell) -> None:
     write_csv(Dataset("plan", 100.0, run.time_s, {"q2_cmd_rad": run["q2_cmd_rad"], "q1_rad": run["q1_rad"],
-                                                  "q2_rad": run["q2_rad"]}), tmp_path / "plan.csv")
-    (tmp_path / "rig.toml").write_text(RIG)
-    model = write_model(tmp_path / "m.json", list(BODY.beta()), {**SETTINGS, "friction_velocity_radps": 0.02})
-    shell("simulate", model, "--plan", tmp_path / "plan.csv", "--rig", tmp_path / "rig.toml", "--out",
-          tmp_path / "out.csv")
-    found = read_csv(tmp_path / "out.csv", min_samples=2).columns
+                                                  "q2_rad": run["q2_rad"]}), here / "plan.csv")
+    (here / "rig.toml").write_text(RIG)
+    write_model(here / "m.json", list(BODY.beta()), {**SETTINGS, "friction_velocity_radps": 0.02})
+    shell("simulate m.json --plan plan.csv --rig rig.toml --out out.csv")
+    found = read_csv(here / "out.csv", min_samples=2).columns
     for name in ("q1_rad", "q2_rad"):
         assert np.sqrt(np.mean((found[name] - run[name]) ** 2)) < 2.0 * 2.0 * np.pi / COUNTS
     assert np.abs(found["tau2_nm"]).max() <= 1.0 + 1e-9

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import load_rig
-from experiments.models import load_model
+from daq import Dataset, InputError, load_rig
+from experiments.models import MechanismSettings, Model, load_model
 from experiments.simulators import export_model, model_of_robot, read_robot
 from experiments.workflows import judge_robot
 from tests.support.models import LEG, LEG_RIG, write_model
@@ -18,29 +18,31 @@ TRUE = Leg(viscous=(0.02, 0.03), coulomb=(0.0, 0.0))
 
 
 def robot(folder: Path, leg: Leg) -> Path:
-    """The leg as an MJCF file."""
-    beta = leg.beta().tolist()
+    """The leg as an MJCF file, and its rig beside it."""
+    (folder / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     path = folder / "leg.xml"
-    path.write_text(export_model(load_model(write_model(folder / "m.json", beta, LEG)), "mjcf", "m.json")[0])
+    model = load_model(write_model(folder / "m.json", leg.beta().tolist(), LEG))
+    path.write_text(export_model(model, "mjcf", "m.json")[0])
     return path
 
 
+def model_of(source: Path) -> Model:
+    return model_of_robot(read_robot(source), MechanismSettings(**LEG), "zero", "leg.xml")  # type: ignore[arg-type]
+
+
 def test_a_file_is_the_model_that_was_exported(tmp_path: Path) -> None:
-    settings = load_model(write_model(tmp_path / "m.json", TRUE.beta().tolist(), LEG)).mechanism
-    found = model_of_robot(read_robot(robot(tmp_path, Leg())), settings, "zero", "leg.xml")
+    found = model_of(robot(tmp_path, Leg()))
     assert found.beta == pytest.approx(Leg().beta().tolist(), rel=1e-9)
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[object]:
-    return [record(TRUE, np.random.default_rng(seed), seconds=10.0, amplitude=0.6, name=f"r{seed}") for seed in (1, 2)]
+def runs() -> list[Dataset]:
+    return [record(TRUE, seed, seconds=10.0, amplitude=0.6, name=f"r{seed}") for seed in (1, 2)]
 
 
-def test_wrong_parameters_of_a_file_are_named(runs: list[object], tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
-    rig = load_rig(tmp_path / "rig.toml")
-    right = judge_robot(robot(tmp_path, TRUE), runs, rig)  # type: ignore[arg-type]
-    wrong = judge_robot(robot(tmp_path, replace(TRUE, viscous=(0.02, 0.06))), runs, rig)  # type: ignore[arg-type]
+def test_wrong_parameters_of_a_file_are_named(runs: list[Dataset], tmp_path: Path) -> None:
+    right, wrong = (judge_robot(robot(tmp_path, leg), runs, load_rig(tmp_path / "rig.toml"))
+                    for leg in (TRUE, replace(TRUE, viscous=(0.02, 0.06))))
     named = [row for row in wrong.rows if row.contradicted]
     assert "beta7" in [row.name for row in named] and max(named, key=lambda r: abs(r.half_widths)).name == "beta7"
     assert sum(row.contradicted for row in right.rows) <= 2  # of nine intervals of 95 %
@@ -50,12 +52,9 @@ def test_wrong_parameters_of_a_file_are_named(runs: list[object], tmp_path: Path
 
 
 def test_what_cannot_be_judged_is_one_line(tmp_path: Path, shell: Shell) -> None:
-    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     source = robot(tmp_path, Leg())
-    shell("doctor --model", source, status=2)
-    shell("doctor run.csv", status=2)
+    shell.fails("doctor --model", source)
+    shell.fails("doctor run.csv")
     source.write_text(source.read_text().replace('pos="0 0 -0.3', 'pos="0.3 0 0'))
-    settings = load_model(write_model(tmp_path / "m.json", TRUE.beta().tolist(), LEG)).mechanism
-    with pytest.raises(Exception, match="does not hang along -z"):
-        model_of_robot(read_robot(source), settings, "zero", "leg.xml")
-    assert len(shell.err.splitlines()) == 2
+    with pytest.raises(InputError, match="does not hang along -z"):
+        model_of(source)

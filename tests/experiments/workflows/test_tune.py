@@ -31,14 +31,14 @@ def timed_runs(folder: Path, seed: int, timing: Timing, rate_hz: float) -> tuple
                   f'[sampling]\nrate_hz = {rate_hz}\nhold = "average"\n')
 
 
-def test_what_is_chosen_is_told_and_written(tmp_path: Path, shell: Shell) -> None:
-    runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], tmp_path)
-    rig = tmp_path / "rig.toml"
+def test_what_is_chosen_is_told_and_written(here: Path, shell: Shell) -> None:
+    runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], here)
+    rig = here / "rig.toml"
     text = f"# our arm\n{ARM_RIG}[noise]\nencoder_rad = 1e-4   # by its data sheet\n[filter]\ncutoff_hz = 8.0\n"
     rig.write_text(text)
-    shell("tune", *runs[:2], "--rig", rig)
+    shell("tune", *runs[:2], "--rig rig.toml")
     assert "[terms] torque_offset" in shell.out and rig.read_text() == text  # not asked to write
-    found = document("tune", *runs, "--rig", rig, "--write")
+    found = document("tune", *runs, "--rig rig.toml --write")
     printed = shell.out
     assert "[terms] torque_offset" in printed and "a constant in the measured torque" in printed
     assert "on held-out runs" in printed
@@ -49,37 +49,37 @@ def test_what_is_chosen_is_told_and_written(tmp_path: Path, shell: Shell) -> Non
     written_text = rig.read_text()
     assert written_text.startswith("# our arm\n") and "# by its data sheet" in written_text
     assert load_rig(rig).terms.torque_offset == (1,)
-    shell("fit", *runs, "--rig", rig)
+    shell("fit", *runs, "--rig rig.toml")
     assert "chosen, where rig.toml is silent: torque_offset" not in shell.out
 
 
-def test_no_entry_changes_where_no_fit_predicts(tmp_path: Path, shell: Shell) -> None:
-    runs = written([negated(swing_run(0.02, 0.05), "tau1_nm")], tmp_path)
-    rig = tmp_path / "rig.toml"
+def test_no_entry_changes_where_no_fit_predicts(here: Path, shell: Shell) -> None:
+    runs = written([negated(swing_run(0.02, 0.05), "tau1_nm")], here)
+    rig = here / "rig.toml"
     text = f"{SWING_RIG}[sampling]\nrate_hz = 50.0\n"
     rig.write_text(text)
-    found = document("tune", *runs, "--rig", rig, "--write", status=1)
+    found = document("tune", *runs, "--rig rig.toml --write", status=1)
     assert rig.read_text() == text
     assert shell.out.startswith("nothing is chosen: ")
     assert {t["error"] for t in found["tried"]} == {"no prediction"} and found["chosen"] == []
 
 
-def test_a_parameter_may_be_given(tmp_path: Path, shell: Shell) -> None:
-    runs = written([swing_run(0.02, 0.05)], tmp_path)
-    rig = tmp_path / "rig.toml"
+def test_a_parameter_may_be_given(here: Path, shell: Shell) -> None:
+    runs = written([swing_run(0.02, 0.05)], here)
+    rig = here / "rig.toml"
     rig.write_text(f"{SWING_RIG}[filter]\ncutoff_hz = 5.0\n")
-    right, wrong = (document("tune", *runs, "--rig", rig, "--fix", given)["error_before"][0]
+    right, wrong = (document("tune", *runs, "--rig rig.toml --fix", given)["error_before"][0]
                     for given in ("beta4=0.05", "beta4=0.5"))  # Coulomb friction as it is, and ten times that
     assert wrong > 2.0 * right
-    assert "joint1 has no parameter beta5" in shell.fails("tune", *runs, "--rig", rig, "--fix beta5=1")
+    assert "joint1 has no parameter beta5" in shell.fails("tune", *runs, "--rig rig.toml --fix beta5=1")
 
 
-def test_rate_hold_and_delay_are_found_together(tmp_path: Path, shell: Shell) -> None:
+def test_rate_hold_and_delay_are_found_together(here: Path, shell: Shell) -> None:
     """A controller that holds its torque from 3 ms after its stamp on; the rig file has half the rate, another hold."""
-    runs, text = timed_runs(tmp_path, 1, Timing(200.0, delay_s=0.003), 100.0)
-    rig = tmp_path / "rig.toml"
+    runs, text = timed_runs(here, 1, Timing(200.0, delay_s=0.003), 100.0)
+    rig = here / "rig.toml"
     rig.write_text(text)
-    found = document("tune", *runs, "--rig", rig, "--write")
+    found = document("tune", *runs, "--rig rig.toml --write")
     assert "rate, hold and delay were varied together: rate 200 Hz (instead of 100 Hz: error" in shell.out
     tuned = load_rig(rig)
     assert (tuned.sampling.rate_hz, tuned.sampling.hold) == (200.0, "zero")

@@ -1,4 +1,4 @@
-"""Models with effects are models: saved, read, simulated and validated; the plant that judges them is independent."""
+"""Models with effects or a structure are models: saved, read, simulated, validated; an independent plant judges."""
 
 import json
 from pathlib import Path
@@ -9,16 +9,33 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+import legid
 from daq import InputError
-from daq.recording import write_plan
+from daq.recording import read_plan, write_plan
+from estimator import Diagnosis
 from estimator.effects import classes
 from estimator.effects.encoder_scale import EncoderScale
+from experiments.documents import DiagnosisDocument, finite, learnt_of
 from experiments.emulation import LegBody
 from experiments.emulation.hidden_effects import DRAG, REST_RAD, SPRING_NM
 from experiments.excite import random_multisine
-from experiments.models import EffectValue, effect_value, effects_of, load_model, save_model, values_of
+from experiments.models import (
+    EffectValue,
+    Model,
+    TorqueTable,
+    effect_value,
+    effects_of,
+    load_model,
+    save_model,
+    structure_values,
+    values_of,
+)
+from experiments.models.schema import JointTorque, StructureValues, TableInput
+from experiments.models.structure import laws_of
+from experiments.reports.structure import structure_section, structure_words
 from tests.support.extended_models import assert_moves_as_the_plant, model_with, noisy_run, run_of
-from tests.support.shell import Shell, document
+from tests.support.learnt import hidden_magnet
+from tests.support.shell import Shell, document, read_json
 
 SPRING = EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": SPRING_NM, "preload": SPRING_NM * REST_RAD})
 
@@ -34,7 +51,7 @@ def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
     ((again, values),) = effects_of(back)
     assert type(again) is kind and again.joint == effect.joint
     assert_array_equal(values, size)
-    stored = json.loads((tmp_path / "m.json").read_text())["effects"][0]
+    stored = read_json(tmp_path / "m.json")["effects"][0]
     assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (
         2 if kind.per_joint or kind.per_motor else None)
 
@@ -92,11 +109,11 @@ def test_a_late_imu_shows_what_was(tmp_path: Path) -> None:
     (EffectValue(name="torque_offset", joint=None, sizes={"offset": 0.05}), True),
     (EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.002}), False),  # the motion is the nominal one
 ])
-def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path) -> None:
-    rig = noisy_run(model_with(value), tmp_path)
+def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, here: Path) -> None:
+    rig = noisy_run(model_with(value), here)
     rmse = {}
     for name in ("m", "plain") if gains else ("m",):
-        (run,) = document("validate", tmp_path / f"{name}.json", tmp_path / "run.csv", "--rig", rig)["runs"]
+        (run,) = document(f"validate {name}.json run.csv --rig", rig)["runs"]
         assert not run["diverged"] and run["horizon_s"] == pytest.approx(8.0, abs=0.1)
         rmse[name] = run["rmse"]
     assert rmse["m"]["q1_rad"] < 0.01 and rmse["m"]["q2_rad"] < 0.03
@@ -116,17 +133,13 @@ def test_reference_values_carry_what_is_not_determined() -> None:
     ({"sizes": {"stiffness": 1.0}}, "stiffness, preload"), ({"shapes": {"angle": 1.0}}, "shapes angle"),
     ({"sizes": {"stiffness": 1.0, "preload": "x"}}, "effects[0].sizes"), ({"size": 1}, "size"),
 ])
-def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str, tmp_path: Path, shell: Shell) -> None:
+def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str, here: Path, shell: Shell) -> None:
     document = json.loads(msgspec.json.encode(model_with(SPRING)))
     document["effects"][0] |= change
-    path = tmp_path / "m.json"
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError) as caught:
-        load_model(path)
-    assert says in str(caught.value) and str(path) in str(caught.value)
-    write_plan(random_multisine(5, 6.0, 0.5), tmp_path / "p.csv")
-    error = shell.fails("simulate", path, "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv")
-    assert says in error and error.count("\n") == 1 and not (tmp_path / "r.csv").exists()
+    (here / "m.json").write_text(json.dumps(document))
+    write_plan(random_multisine(5, 6.0, 0.5), here / "p.csv")
+    error = shell.fails("simulate m.json --plan p.csv --out r.csv")
+    assert says in error and "m.json: " in error and not (here / "r.csv").exists()
 
 
 def test_covariance_and_reach_belong_to_the_effects(tmp_path: Path) -> None:
@@ -146,3 +159,82 @@ def test_a_file_from_before_a_shape_existed_reads_as_its_default(tmp_path: Path)
     assert [row[k] for k, row in enumerate(model.covariance)] == [1e-8] * 11 + [0.0, 1e-8]
     (_, size), (_, bias) = effects_of(model)
     assert list(size) == [0.05, 0.2, 2.0] and list(bias) == [0.03]
+
+
+SPRING_TABLE = TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-2.0, 2.0),), std=(0.001, 0.001),
+                     values=(SPRING_NM * (-2.0 - REST_RAD), SPRING_NM * (2.0 - REST_RAD)))
+
+
+def with_table(table: TorqueTable) -> Model:
+    torque = JointTorque(joint=2, constant=0.0, tables=(table,), noise_nm=0.01)
+    structure = StructureValues(torques=(torque,), removed=0.5, removed_ci95=(0.4, 0.6))
+    return msgspec.structs.replace(model_with(), structure=structure)
+
+
+def test_it_is_saved_and_read_and_old_files_have_none(tmp_path: Path) -> None:
+    model = with_table(SPRING_TABLE)
+    save_model(model, tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json") == model
+    document = read_json(tmp_path / "m.json")
+    del document["structure"]
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    assert load_model(tmp_path / "m.json").structure is None and laws_of(load_model(tmp_path / "m.json")) == ()
+
+
+def test_a_learnt_structure_survives_the_file() -> None:
+    found = hidden_magnet()
+    model = msgspec.structs.replace(model_with(), structure=structure_values(found))
+    (law,), (again,) = found.laws, laws_of(model)
+    assert_array_equal(again.torque(found.samples.at), law.torque(found.samples.at))
+    assert model.structure.removed == found.removed
+
+
+@pytest.mark.parametrize("change, says", [
+    ({"knots": [[2.0, -2.0]]}, "do not increase"), ({"values": [1.0]}, "1 values for 2 knots"),
+    ({"inputs": []}, "one list of knots"), ({"inputs": [{"variable": "angle", "joint": 3}]}, "joint 3"),
+    ({"inputs": [{"variable": "mood", "joint": 1}]}, "mood"), ({"std": [-1.0, 1.0]}, "std"),
+])
+def test_a_structure_that_cannot_be_run_is_named(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    document = json.loads(msgspec.json.encode(with_table(SPRING_TABLE)))
+    document["structure"]["torques"][0]["tables"][0] |= change
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=says):
+        load_model(tmp_path / "m.json")
+
+
+def test_simulation_is_the_motion_of_a_plant_with_that_torque(tmp_path: Path) -> None:
+    assert_moves_as_the_plant(with_table(SPRING_TABLE), "joint_stiffness", tmp_path)
+
+
+def test_validate_and_compare_use_it(tmp_path: Path) -> None:
+    rig = noisy_run(with_table(SPRING_TABLE), tmp_path)
+    model, plain, log = (tmp_path / name for name in ("m.json", "plain.json", "run.csv"))
+    (run,) = document("validate", model, log, "--rig", rig, "--horizons 0.5")["runs"]
+    assert run["rmse"]["q1_rad"] < 0.01 and run["rmse"]["q2_rad"] < 0.03
+    told = document("compare", model, plain, log, "--rig", rig, "--horizons 0.5")
+    assert all(row["b"] > 2.0 * row["a"] for row in told["errors"])
+
+
+def test_a_motion_beyond_its_range_is_told(tmp_path: Path, shell: Shell) -> None:
+    narrow = msgspec.structs.replace(SPRING_TABLE, knots=((-0.05, 0.05),), values=(-0.01, 0.01))
+    run_of(with_table(narrow), tmp_path)
+    said = shell.err
+    assert "angle of joint 2" in said and "leaves the range" in said
+    run_of(with_table(SPRING_TABLE), tmp_path)
+    assert "leaves the range" not in shell.err
+    with pytest.warns(UserWarning, match="angle of joint 2"):
+        legid.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
+
+
+def test_reports_say_what_it_removes_and_where() -> None:
+    found = hidden_magnet()
+    told = learnt_of(found)
+    assert told is not None
+    words = structure_words(told)
+    assert f"removes {100.0 * found.removed:.0f} % [" in words and "joint 2, as a function of angle" in words
+    assert told.removed == found.removed and told.where[0].depends_on == "angle"
+    assert all(finite(row.after) < finite(row.before) for row in told.error)
+    document = DiagnosisDocument.of(Diagnosis("unexplained", "Something.", structure=found))
+    section, read = structure_section(document, found), structure_section(document, None)
+    assert read.tables == section.tables and not read.pictures
+    assert len(section.pictures) == len(found.laws[0].tables) and "95 % band" in section.pictures[0].svg
