@@ -1,7 +1,5 @@
 """How fast a drive is polled on the real clock, and at what cost: its emulator in one process, the poll in another."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

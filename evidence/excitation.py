@@ -10,14 +10,10 @@ same prior allows within the same share of the same limits. For every plan, mode
 whole limits.
 """
 
-from __future__ import annotations
-
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +21,7 @@ from daq.recording.plan import Plan
 from daq.rig import Rig, parse_rig
 from daq.rig_limits import Limits
 from estimator.fitting.fit import fit
-from evidence.frame import Lines, program, table
+from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.emulation.emulated_rig import record_emulated
@@ -93,8 +89,8 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
     """Record on the emulated leg and fit, once a seed."""
     truth, std, error = np.array(body.beta()), [], []
     for seed in seeds:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "run.mcap"
+        with new_folder() as folder:
+            path = folder / "run.mcap"
             record_emulated(path, rig, rig_text, plan, seed, body)  # raises where the leg leaves the limits
             setup = prepare([path], rig).setup
         found = fit(setup.datasets, setup.mechanism, setup.options)
@@ -121,22 +117,22 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
     stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
     actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
     floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.planned_hz) / truth[-1]
-    yield from [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, q1 {limits.q1_rad:g} rad, "
-                f"q2 {limits.q2_rad:g} rad", ""]
+    yield (f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, q1 {limits.q1_rad:g} rad, "
+           f"q2 {limits.q2_rad:g} rad")
     for caption, rows in (("Standard error that the refits state", stated),
                           ("Root mean square of the refits' errors about the truth", actual)):
-        yield from [f"{caption}, for one minute of experiment, per cent of the value", ""]
-        yield from table(f" | {' | '.join(names)} | largest", (
+        yield f"{caption}, for one minute of experiment, per cent of the value"
+        yield table(f" | {' | '.join(names)} | largest", (
             (kind, *(f"{value:.3f}" for value in (*row, row.max()))) for kind, row in rows.items()))
-    yield from table("design | against | its worst parameter | of its error, stated and actual | largest against "
-                     "largest | geometric mean", (
+    yield table("design | against | its worst parameter | of its error, stated and actual | largest against "
+                "largest | geometric mean", (
         _against(kind, stated, actual, names) for kind in DESIGNS))
     off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
     yield from [
         f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
         f"{np.sqrt(np.mean(off**2)):.2f}.",
         f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
-        f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}.", ""]
+        f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}."]
 
 
 def _against(kind: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray], names: Sequence[str]) -> str:
@@ -148,7 +144,7 @@ def _against(kind: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndar
 
 
 def page(seconds: float = 20.0, seeds: int = 8, limits: Sequence[str] = tuple(LIMITS)) -> Lines:
-    yield from ["# A designed plan against a chirp", ""]
+    yield "# A designed plan against a chirp"
     for name in limits:
         yield from section(name, LIMITS[name], seconds, range(1, seeds + 1))
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
 from fastcrc import crc16
+from numpy.random import Generator, default_rng
 
 from drivers import dynamixel
 from drivers.can_codec import CanCodec
@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
                 f"0 crashes, {self.seconds:.0f} s")
 
 
-def message(rng: np.random.Generator, k: int) -> Message:
+def message(rng: Generator, k: int) -> Message:
     """A valid message, different for every k."""
     kind = rng.integers(8)
     angle = (k % 100_000_000) / 1e6
@@ -60,7 +60,7 @@ def message(rng: np.random.Generator, k: int) -> Message:
     return replace(TELEMETRY, seq=k % 65536, tick_us=k, knee_rad=angle, pivot_hall_rad=-angle, current_a=angle)
 
 
-def noise(rng: np.random.Generator) -> bytes:
+def noise(rng: Generator) -> bytes:
     """A frame of random bytes; half of them whole COBS frames of a known type and length, all but the check sum."""
     if rng.random() < 0.5:
         return rng.bytes(int(rng.integers(1, 90))) + b"\0"
@@ -69,7 +69,7 @@ def noise(rng: np.random.Generator) -> bytes:
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
 
 
-def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any, noise: Callable[[], bytes],
+def _stream(frames: int, rng: Generator, started: float, decoder: Any, noise: Callable[[], bytes],
             sent: Callable[[int], Any], encoded: Callable[[Any], bytes]) -> Outcome:
     """A third noise, a third valid frames broken by the fault injector, a third whole, all in one stream."""
     wire = FaultyWire(WireFaults(**{kind: 0.5 / len(KINDS) for kind in KINDS}), rng)
@@ -95,7 +95,7 @@ def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any,
 
 @kept
 def fuzz_serial(frames: int, seed: int) -> Outcome:
-    rng, decoder, started = np.random.default_rng(seed), Decoder(), time.perf_counter()
+    rng, decoder, started = default_rng(seed), Decoder(), time.perf_counter()
     decoder.feed(b"\0")
     return _stream(frames, rng, started, decoder, lambda: noise(rng), lambda k: message(rng, k), encode)
 
@@ -103,7 +103,7 @@ def fuzz_serial(frames: int, seed: int) -> Outcome:
 @kept
 def fuzz_can(frames: int, seed: int) -> Outcome:
     """Half of all frames dropped, doubled, swapped, shortened, or with a frame of noise in front."""
-    rng, codec, started = np.random.default_rng(seed), CanCodec(), time.perf_counter()
+    rng, codec, started = default_rng(seed), CanCodec(), time.perf_counter()
     wire = FaultyWire(WireFaults(**{kind: 0.25 / len(KINDS) for kind in KINDS}), rng)
     delivered = wrong = passed = k = 0
     recent: deque[Message] = deque(maxlen=12)
@@ -123,7 +123,7 @@ def fuzz_can(frames: int, seed: int) -> Outcome:
 
 @kept
 def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
-    rng, started = np.random.default_rng(seed), time.perf_counter()
+    rng, started = default_rng(seed), time.perf_counter()
 
     def broken() -> bytes:
         start = dynamixel.HEADER if rng.random() < 0.5 else b""
@@ -137,10 +137,11 @@ def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
 def page(frames: int = 1_000_000, seed: int = 1) -> Lines:
     assert crc16.ibm_3740(b"123456789") == 0x29B1
     yield from [
-        "# Fuzz of the codecs", "",
+        "# Fuzz of the codecs",
         "Serial frames that are broken must pass a 16-bit check sum to be taken. On CAN the bus itself checks; "
         "what is wrong there is noise put in behind that check, with an identifier and length that a message "
-        "has.", "", f"- serial: {fuzz_serial(frames, seed)}", f"- CAN: {fuzz_can(frames, seed)}",
+        "has.",
+        f"- serial: {fuzz_serial(frames, seed)}", f"- CAN: {fuzz_can(frames, seed)}",
         f"- Dynamixel: {fuzz_dynamixel(frames, seed)}"]
 
 

@@ -7,16 +7,14 @@ process must leave the first whole. One of them is a stranger: it takes samples 
 lock, as a script does; that recording must end itself, or every reader flags it. A fault is everything else.
 """
 
-import io
 import mmap
 import os
 import re
 import signal
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +27,7 @@ from daq.rig import load_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import FLUSH_MESSAGES, recover
 from daq.timing.notes import configured
-from evidence.frame import Lines, program, table, tell, within
+from evidence.frame import Lines, heard, new_folder, program, table, tell, within
 from evidence.kept import kept
 from evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch
 from evidence.registry import Evidence
@@ -102,11 +100,11 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
     faults += [f"recovered {report.messages} messages, {fixed.messages} are read"] * (
         not fixed.complete or fixed.messages != raw.messages)
     for command in (["info", str(path)], ["fit", str(path)]):
-        heard = io.StringIO()
-        with redirect_stdout(heard), redirect_stderr(heard):
+        with heard() as told_by:
             status = legid(command)
-        faults += [f"{command[0]} ends with {status}: {heard.getvalue()[-300:]}"] * (
-            status not in (0, 1, 2) or "internal error" in heard.getvalue() or (command[0] == "info" and status != 0))
+        text = told_by.getvalue()
+        faults += [f"{command[0]} ends with {status}: {text[-300:]}"] * (
+            status not in (0, 1, 2) or "internal error" in text or (command[0] == "info" and status != 0))
     return Killed("cut off, read and recovered" if raw.messages else "cut off before the first message", max(lost, 0),
                   "; ".join(faults))
 
@@ -201,13 +199,13 @@ def ready(folder: Path) -> Iterator[Path]:
         rig.write_text(text.replace("[limits]\n", PATIENT).replace("watchdog_ms = 500", "watchdog_ms = 1000"))
         write_plan(sine(PLAN_S, 0.3), folder / "plan.csv")
         first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
-        with redirect_stdout(io.StringIO()):
+        with heard():
             legid(["record", *first])  # loads once what every fork would load
         yield rig
 
 
 def page(kills: int = 1000, disturbed: int = 1000, minutes: float = 240.0, seed: int = 1) -> Lines:
-    with tempfile.TemporaryDirectory() as place, ready(Path(place)) as rig:
+    with new_folder() as folder, ready(folder) as rig:
 
         @kept
         def one(name: str, number: int, seed: int) -> Killed:
@@ -222,23 +220,23 @@ def page(kills: int = 1000, disturbed: int = 1000, minutes: float = 240.0, seed:
     lost = [k.lost for k in killed if k.outcome.startswith("cut off")] or [0]
     faults = [k.fault for k in (*killed, *others) if k.fault]
     yield from [
-        "# Recordings killed, and a second process at their devices", "",
+        "# Recordings killed, and a second process at their devices",
         f"{len(killed)} and {len(others)} recordings: `legid record` on an emulated rig in a process of its own, over "
-        "a port and a bus, in real time.", "", "## SIGKILL at any moment of a recording", ""]
-    yield from table("found afterwards | times", _counts(killed))
+        "a port and a bus, in real time.", "## SIGKILL at any moment of a recording"]
+    yield table("found afterwards | times", _counts(killed))
     yield from [
         f"{sum(not k.outcome.startswith('ended') for k in killed)} were killed while they ran. A file that was cut off "
         "holds every message that reached the system, "
         "reports its missing end, and recovers to a whole file. The recorder lost "
         f"{np.median(lost):.0f} messages in the median, {max(lost)} at most; it hands them over every "
         f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
-        "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
-        "## A second process at the same devices, or at the file that is written", ""]
-    yield from table(" | times", _counts(others))
+        "acknowledged. Recordings that ended themselves named a limit or a time-out.",
+        "## A second process at the same devices, or at the file that is written"]
+    yield table(" | times", _counts(others))
     yield from [
         "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
         "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
-        "every reader of the run reports that.", "", *(f"- {fault}" for fault in faults)]
+        "every reader of the run reports that.", *(f"- {fault}" for fault in faults)]
     return len(faults)
 
 

@@ -4,10 +4,7 @@ The records are no part of the project. `--snapshots DIR` is a folder with a clo
 files are taken from the commit that the page names.
 """
 
-from __future__ import annotations
-
 import json
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evidence.emulated_legs import label
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.machines import answer, clones, shown, typed
 from evidence.registry import Evidence
@@ -99,8 +96,7 @@ class Said(NamedTuple):
 def compared(pair: Pair, snapshot: Path) -> Said:
     """The pair's commands, typed in a new folder."""
     rows, a, b = [], *pair.sessions
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         (folder / "rig.toml").write_text(RIG)
         (folder / "columns.toml").write_text(COLUMNS)
         for session in (a, b):
@@ -121,26 +117,24 @@ def compared(pair: Pair, snapshot: Path) -> Said:
 def page(snapshots: str = "") -> Lines:
     (place,) = clones(snapshots, [REPOSITORY])
     yield from [
-        "# Known changes of a public machine", "",
+        "# Known changes of a public machine",
         f"[{REPOSITORY}](https://github.com/{REPOSITORY}), commit `{COMMIT[:10]}`, licence: BSD-3-Clause. A double "
         "pendulum with two motors and encoders was recorded in three designs. The files `model_parameters.yml` below "
         "`data/system_identification/identified_parameters` say what differs. The records are no part of the project.",
-        "", "The rig file, and the map by hand:", "", "```toml", RIG.rstrip(), "```", "", "```toml", COLUMNS.rstrip(),
-        "```", ""]
+        "The rig file, and the map by hand:", f"```toml\n{RIG}```", f"```toml\n{COLUMNS}```"]
     for number, pair in enumerate(PAIRS, 1):
         said = compared(pair, place)
-        yield from [f"## {number}. {pair.title}", "", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}",
-                    ""]
-        yield from table("command | s | exit | answer", (
+        yield from [f"## {number}. {pair.title}", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}"]
+        yield table("command | s | exit | answer", (
             (f"`{command}`", f"{seconds:.0f}", status, line) for command, seconds, status, line in said.rows))
-        yield from table("cause | size | value | 95 % interval", (
+        yield table("cause | size | value | 95 % interval", (
             f"{label(cause['effect'], cause['joint'])} | {size['name']} [{size['unit']}] | {size['value']:.3g} | "
             f"{size['ci95'][0]:.3g} to {size['ci95'][1]:.3g}"
             for cause in said.document.get("causes", ()) for size in cause["size"]))
-        yield from table("published | before | after | change", (
+        yield table("published | before | after | change", (
             f"{name} | {before:.3g} | {after:.3g} | {after - before:+.3g}"
             for name, (before, after) in pair.published.items()))
-        yield from [*(f"- {remark}" for remark in pair.remarks), ""]
+        yield from (f"- {remark}" for remark in pair.remarks)
 
 
 def verdicts(text: str) -> str:

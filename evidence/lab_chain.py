@@ -5,8 +5,6 @@ late. Faults of sensors are drawn with the standard deviations in FAULTS; `legid
 as files, by a rig file that knows none of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
 from typing import NamedTuple
@@ -92,13 +90,13 @@ def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
     wrong = (not any(a.true) if a.verdict == "one_of" else not all(a.true) for a in found)
     trusted = [a for a in found if a.trust == "TRUST"]
     yield from [
-        "# A lab's signal chain", "",
+        "# A lab's signal chain",
         "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. All faults at once are drawn. Their standard "
         "deviations: torque constant 5 %, gyro scale 1 %, accelerometer 0.1 m/s², tilt 0.5 degrees, lever arm 2 mm, "
         "zero 3 mrad, shunt 5 mN m. Two of three IMUs are behind a low pass and stamped late. Every other leg has a "
         "spring of 0.3 N m/rad at its "
         f"pivot. `legid fit` and `legid diagnose` read {RUNS} runs of {SECONDS:g} s as CSV. The rig file states "
-        "nothing of it.", "",
+        "nothing of it.",
         f"- Answers with a name that is not there: {share(wrong)} (none wanted).",
         f"- Fits that say TRUST: {share(a.trust == 'TRUST' for a in found)}.",
         f"- Parameters of trusted fits within their intervals: {share(w for a in trusted for w in a.within)}, "
@@ -107,11 +105,11 @@ def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
         f"{float(np.median([a.worst for a in found])):.2g} %.",
         f"- Trusted fits more than 10 % off: {share(a.worst > 10.0 for a in trusted)} (none wanted).",
         "- Named springs within their intervals: "
-        f"{share(a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None)}.", "",
+        f"{share(a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None)}.",
         "A name counts as there if the fault exceeds two standard deviations. A spring at a pivot that swings little "
-        "is nearly the function of its gravity term; the error before says whether it is material.", ""]
-    yield from table("leg | spring | IMU late | fit | within | largest error [%] | verdict | causes | error over noise",
-                     map(_row, found))
+        "is nearly the function of its gravity term; the error before says whether it is material."]
+    yield table("leg | spring | IMU late | fit | within | largest error [%] | verdict | causes | error over noise",
+                map(_row, found))
 
 
 def _row(a: Answer) -> str:

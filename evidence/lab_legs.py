@@ -3,13 +3,12 @@
 The laws are those of the effects, written out anew; the readings are changed as `servo` changes them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator
 
 from estimator.score import default_tolerances
 from evidence.blind import servo
@@ -23,7 +22,7 @@ POSITIVE = ("joint_stiffness", "quadratic_drag", "load_dependent_friction", "str
 """Effects whose first size is not below zero."""
 
 
-def drawn(rng: np.random.Generator, times: float = 1.0) -> Faults:
+def drawn(rng: Generator, times: float = 1.0) -> Faults:
     """Sizes of every effect with a tolerance, normal with `times` its standard deviation."""
     found = {}
     for name, sizes in default_tolerances().items():
@@ -33,7 +32,7 @@ def drawn(rng: np.random.Generator, times: float = 1.0) -> Faults:
     return found
 
 
-def plant_of(faults: Faults, rng: np.random.Generator) -> servo.Plant:
+def plant_of(faults: Faults, rng: Generator) -> servo.Plant:
     """The plant with these faults; those that MuJoCo or the readings do not have are left out."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
@@ -71,7 +70,7 @@ def plant_of(faults: Faults, rng: np.random.Generator) -> servo.Plant:
     return servo.Plant(armature=faults["rotor_inertia"][1, 0], law=law, logged=logged, late_s=late)
 
 
-def lab_leg(hidden: str, rng: np.random.Generator, folder: Path, times: float = 1.0) -> KnownLeg:
+def lab_leg(hidden: str, rng: Generator, folder: Path, times: float = 1.0) -> KnownLeg:
     """A leg whose faults are drawn from `times` the tolerances; nothing else is hidden."""
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
     plant = plant_of(drawn(rng, times), rng)

@@ -4,20 +4,17 @@ The records are no part of the project. `--snapshots DIR` is a folder with a clo
 name; files are taken from the commit that the page names.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shlex
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.machine_records import MACHINES, Machine
 from evidence.registry import Evidence
@@ -88,8 +85,7 @@ def shown(snapshot: Path, commit: str, path: str) -> bytes:
 def session(one: Machine, snapshot: Path) -> Session:
     """Every command of one machine, typed in a new folder."""
     out = Session()
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         unpack(one, snapshot, folder)
         for command in one.commands:
             began = time.monotonic()
@@ -109,8 +105,7 @@ def session(one: Machine, snapshot: Path) -> Session:
 def free_runs(one: Machine, snapshot: Path) -> list[FreeRun]:
     """Each run, simulated by what the others determine and by what is published."""
     out = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         unpack(one, snapshot, folder)
         for command in (*(c for c in one.commands if c.startswith("legid import")), *one.more):
             typed(command, folder)
@@ -170,32 +165,29 @@ def page(snapshots: str = "") -> Lines:
     free = [free_runs(one, place) for one, place in zip(MACHINES, places)]
     longest = max(sum(row[1] for row in many.rows) for many in found)
     yield from [
-        "# Ten machines that we did not build", "",
+        "# Ten machines that we did not build",
         "Public records, from their authors' files to a diagnosis, by at most five commands each. The longest session "
-        f"takes {longest / 60:.1f} minutes.",
+        f"takes {longest / 60:.1f} minutes. "
         "Each row has a command, its seconds and exit status, and the first line of its answer. The records are no "
-        "part of the project.",
-        "Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.", "",
+        "part of the project. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
         "The last table of each machine has rms errors of simulations over 1 s. No run helps to identify the "
-        "parameters that simulate it. Values that nobody published are equal on both sides.", ""]
-    yield from table("machine | repository | commit | licence", (
+        "parameters that simulate it. Values that nobody published are equal on both sides."]
+    yield table("machine | repository | commit | licence", (
         f"{number}. {one.title} | [{one.repository}](https://github.com/{one.repository}) | `{one.commit[:10]}` | "
         f"{one.licence}" for number, one in enumerate(MACHINES, 1)))
     for number, (one, many, runs) in enumerate(zip(MACHINES, found, free), 1):
-        yield from [f"## {number}. {one.title}", "", "```toml", one.rig.rstrip()]
-        if one.columns:
-            yield from ["", "# columns.toml, by hand", one.columns.rstrip()]
-        yield from ["```", ""]
-        yield from table("command | s | exit | answer", (
+        by_hand = f"\n# columns.toml, by hand\n{one.columns}" * bool(one.columns)
+        yield from [f"## {number}. {one.title}", f"```toml\n{one.rig}{by_hand}```"]
+        yield table("command | s | exit | answer", (
             (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in many.rows))
-        yield from table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
-                         "widths | within 6 % or not trusted", (
+        yield table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
+                    "widths | within 6 % or not trusted", (
             compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
             for name, value in one.published.items()))
-        yield from table("run | error by the other runs' parameters | by published parameters | less in total", (
+        yield table("run | error by the other runs' parameters | by published parameters | less in total", (
             (run.run, run.message, "", "") if run.message else
             (run.run, each(run.ours), each(run.published), "yes" if run.below else "no") for run in runs))
-        yield from [*(f"- {remark}" for remark in one.remarks), ""]
+        yield from (f"- {remark}" for remark in one.remarks)
 
 
 def each(errors: Sequence[float]) -> str:

@@ -6,8 +6,6 @@ A fault is any exception but `InputError`, a numerical warning, more than 10 s o
 file comes from the seed and its number alone: `--only mcap --first 4711 --files 1` makes that one again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -207,8 +205,8 @@ def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = m
             tell(name, done + size, *bad)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     every = sum(map(len, faults.values()))
-    yield from ["# Broken files through every reader", ""]
-    yield from table("format | files | read | refused | stopped | faults | slowest | files a second", (
+    yield "# Broken files through every reader"
+    yield table("format | files | read | refused | stopped | faults | slowest | files a second", (
         (NAMES.get(name, name), *(f"{one[key]:,}" for key in ("files", "read", "refused", "stopped")),
          len(faults[name]), f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms",
          f"{one['files'] / max(took_s[name], 1e-9):.0f}") for name, one in counts.items()))

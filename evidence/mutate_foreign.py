@@ -4,8 +4,6 @@ A file broken in structure is valid in its format: a tree of mappings, lists and
 name, links in circles and out of the file, counts that do not fit.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import sqlite3
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from rosbags.rosbag2 import StoragePlugin
 
 from daq import Column, Dataset, parse_rig
@@ -24,13 +23,13 @@ from experiments.rig import prior_table
 from experiments.simulators import read_robot
 from tests.support.imported_files import ros2_bag
 
-Make = Callable[[np.random.Generator, Path], None]
+Make = Callable[[Generator, Path], None]
 TYPES = ("f8", "f4", "f2", "i8", "i4", "i2", "u1", "?", "c16", "S3", "U3", "M8[ns]", "m8[s]", ">f8")
 NAMES = ("t", "time", "q1", "q2", "log", "", "a.b", "a/b", "#refs#", "__x", "\n[limits]", "é", "x" * 300, "0")
 NUMBERS = (0, -1, 1, 2**31, 2**63 - 1, 10**30, 0.0, -0.0, 1e308, 1e-320, float("nan"), float("inf"))
 
 
-def array(rng: np.random.Generator) -> np.ndarray:
+def array(rng: Generator) -> np.ndarray:
     """Of any type and shape, empty ones too; one of 500 is large."""
     most = 7 if rng.random() < 0.002 else 3
     shape = tuple(int(2 ** rng.uniform(0, most)) if rng.random() < 0.9 else 0 for _ in range(int(rng.integers(0, 4))))
@@ -40,7 +39,7 @@ def array(rng: np.random.Generator) -> np.ndarray:
         return np.asarray(values).astype("i8").astype(kind) if kind[0] in "mMSU" else np.asarray(values).astype(kind)
 
 
-def tree(rng: np.random.Generator, depth: int = 0) -> Any:
+def tree(rng: Generator, depth: int = 0) -> Any:
     """Mappings, lists, arrays, texts and numbers within each other."""
     kind = int(rng.integers(7)) if depth < 6 else 6
     count = int(2 ** rng.uniform(0, 3 if depth else 4))
@@ -55,18 +54,18 @@ def tree(rng: np.random.Generator, depth: int = 0) -> Any:
     return [None, "text", *NUMBERS][int(rng.integers(len(NUMBERS) + 2))]
 
 
-def named(rng: np.random.Generator) -> dict[str, Any]:
+def named(rng: Generator) -> dict[str, Any]:
     """Trees, with two columns of numbers."""
     t = np.arange(60.0)
     return {f"v{k}": tree(rng) for k in range(int(rng.integers(1, 5)))} | {"t": t, "q2": np.sin(t)}
 
 
-def make_json(rng: np.random.Generator, path: Path) -> None:
+def make_json(rng: Generator, path: Path) -> None:
     path.write_text(json.dumps(named(rng), default=lambda value: (
         value.astype(str) if value.dtype.kind in "cMmS" else value).tolist()))
 
 
-def make_npz(rng: np.random.Generator, path: Path) -> None:
+def make_npz(rng: Generator, path: Path) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if rng.random() < 0.5 else zipfile.ZIP_STORED) as archive:
         for k in range(int(rng.integers(1, 6))):
             data = io.BytesIO()
@@ -74,7 +73,7 @@ def make_npz(rng: np.random.Generator, path: Path) -> None:
             archive.writestr(str(rng.choice(NAMES)) + f"{k}.npy", data.getvalue())
 
 
-def make_mat(rng: np.random.Generator, path: Path) -> None:
+def make_mat(rng: Generator, path: Path) -> None:
     from scipy.io import savemat
     try:
         with warnings.catch_warnings():
@@ -84,7 +83,7 @@ def make_mat(rng: np.random.Generator, path: Path) -> None:
         savemat(path, {"t": np.arange(60.0)})
 
 
-def make_hdf5(rng: np.random.Generator, path: Path) -> None:
+def make_hdf5(rng: Generator, path: Path) -> None:
     import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
     with h5py.File(path, "w") as file:
         groups = [file]
@@ -108,7 +107,7 @@ def make_hdf5(rng: np.random.Generator, path: Path) -> None:
                     group.create_dataset(name, data=values if values.dtype.kind in "fiub" else np.arange(5.0))
 
 
-def make_parquet(rng: np.random.Generator, path: Path) -> None:
+def make_parquet(rng: Generator, path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
     n = int(2 ** rng.uniform(0, 10))
@@ -120,7 +119,7 @@ def make_parquet(rng: np.random.Generator, path: Path) -> None:
     parquet.write_table(pa.table(columns), path, compression=str(rng.choice(["none", "zstd", "snappy", "gzip"])))
 
 
-def make_text(rng: np.random.Generator, path: Path) -> None:
+def make_text(rng: Generator, path: Path) -> None:
     separator = str(rng.choice([",", ";", "\t", "|", " "]))
     odd = ["1", "1,5", "2.5e300", "", "nan", '"', "'", "word", "-", "1_0", "é", "0x1"]
     rows = [[str(rng.choice(odd)) if rng.random() < 0.1 else f"{rng.standard_normal():.4f}"
@@ -131,7 +130,7 @@ def make_text(rng: np.random.Generator, path: Path) -> None:
     path.write_bytes(text.encode(str(rng.choice(["utf-8", "utf-16", "cp1252"])), "replace"))
 
 
-def make_can(rng: np.random.Generator, path: Path) -> None:
+def make_can(rng: Generator, path: Path) -> None:
     """Frames of an ODrive; a few of other drives, lengths and kinds; in a third of the files lines that are none."""
     lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
     for k in range(int(2 ** rng.uniform(1, 8))):
@@ -144,7 +143,7 @@ def make_can(rng: np.random.Generator, path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def make_db3(rng: np.random.Generator, path: Path) -> None:
+def make_db3(rng: Generator, path: Path) -> None:
     path.unlink(missing_ok=True)
     base = sqlite3.connect(path)
     base.execute("pragma synchronous = off")
@@ -164,7 +163,7 @@ def make_db3(rng: np.random.Generator, path: Path) -> None:
     base.close()
 
 
-def make_urdf(rng: np.random.Generator, path: Path) -> None:
+def make_urdf(rng: Generator, path: Path) -> None:
     """Joints between any links: chains, trees, circles."""
     n, odd = int(rng.integers(1, 6)), 0.3 if rng.random() < 0.5 else 0.0
     names = [str(rng.choice(NAMES)) if rng.random() < odd else f"l{k}" for k in range(n + 1)]
@@ -178,12 +177,12 @@ def make_urdf(rng: np.random.Generator, path: Path) -> None:
     path.write_text(f'<robot name="r">{links}{joints}</robot>')
 
 
-def number(rng: np.random.Generator, odd: float) -> str:
+def number(rng: Generator, odd: float) -> str:
     """1, or with probability `odd` something else."""
     return str(rng.choice(["0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""])) if rng.random() < odd else "1"
 
 
-def make_mjcf(rng: np.random.Generator, path: Path) -> None:
+def make_mjcf(rng: Generator, path: Path) -> None:
     """Bodies in bodies with any joints and shapes, copies, textures, height fields and files."""
     odd = 0.2 if rng.random() < 0.5 else 0.0
     big = str(int(2 ** rng.uniform(0, 30 if rng.random() < 0.002 else 6)))
@@ -209,7 +208,7 @@ def make_mjcf(rng: np.random.Generator, path: Path) -> None:
     path.write_text(f"<mujoco>{head}<worldbody>{inner}</worldbody></mujoco>")
 
 
-def quoted_name(rng: np.random.Generator, odd: float, k: int) -> str:
+def quoted_name(rng: Generator, odd: float, k: int) -> str:
     """Of a body, for an attribute."""
     return str(rng.choice(NAMES)).replace("\n", "&#10;") + str(k) if rng.random() < odd else f"b{k}"
 
@@ -230,7 +229,7 @@ def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], 
     for name, (ending, make) in MAKERS.items():
         whole = []
         for seed in range(4):
-            make(np.random.default_rng(seed), folder / f"w{ending}")
+            make(default_rng(seed), folder / f"w{ending}")
             whole.append((folder / f"w{ending}").read_bytes())
         out[name] = (ending, whole, read_bodies if name in ("urdf", "mjcf") else read_imported, make)
     t = np.arange(60.0)

@@ -4,8 +4,6 @@ A reader of `exchange` runs in a child for every file. Here a child reads thousa
 which it dies is read again by the command's own way, which must refuse it in one line.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os

@@ -1,7 +1,5 @@
 """The programs that measure: each module below this folder that assigns `EVIDENCE`, and the page that lists them."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Callable

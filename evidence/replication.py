@@ -1,7 +1,5 @@
 """`make replication`: Table III under the protocol that the paper is nearest to, and what open choices do to it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -100,39 +98,39 @@ def page(runs: int = 200) -> Lines:
                 reached |= {(method, case)} if good else set()
                 cells.append(f"{'**' if good else ''}{figure(mean)}{'**' if good else ''}"
                              + (f" ({failed} failed)" if failed else ""))
-            choices.append((label, figure(error_of_truth(protocol)), LABELS[method], *cells))
-            tell(*choices[-1])
+            choices.append(f"{label} | {figure(error_of_truth(protocol))} | {LABELS[method]} | {' | '.join(cells)}")
+            tell(choices[-1])
     best = [max(close_of[method] for method in methods) for methods in PAPERS.values()]
     missing = [f"{name} case {case + 1}" for name, methods in PAPERS.items() for case in range(4)
                if not {(method, case) for method in methods} & reached]
     yield from [
-        "# Table III replicated", "",
+        "# Table III replicated",
         f"Seed {SEED}; each choice below with {FEW} runs. "
         "The paper does not say how its walker was controlled, how torques act between samples, or where it starts. "
         "Its MLE has a mean error of 1.15 to 1.24 at any noise. That is no estimation error: under the protocol here "
         f"the *true* parameters leave {error_of_truth(PRINTED):.3f} rad². A continuous controller drives the walker "
         "from just after an impact. Its torque is logged at 100 Hz, fitted as samples of a smooth function, and "
         "replayed held for 10 ms. Everything else is Tables I and II. "
-        "`legid monte-carlo biped3 --protocol printed` runs it.", ""]
-    yield from table("method | case | mean | paper | variance | paper | median | failed | paper | within 25 %", rows)
+        "`legid monte-carlo biped3 --protocol printed` runs it."]
+    yield table("method | case | mean | paper | variance | paper | median | failed | paper | within 25 %", rows)
     yield from [
         f"Within 25 % of the paper: {sum(best)} of 16 means (the better of our MLE and the paper's, and of both "
-        "weightings of WLS). Demanded were 12; no single protocol of this search reaches that.", "",
-        "## How much each open choice moves them", "",
+        "weightings of WLS). Demanded were 12; no single protocol of this search reaches that.",
+        "## How much each open choice moves them",
         "Means of the summed squared error [rad²] in cases 1 to 4; bold: within 25 % of the paper. Each row changes "
-        "one thing of the protocol above (two where it says so).", ""]
-    yield from table("choice | true parameters | method | case 1 | case 2 | case 3 | case 4", choices)
+        "one thing of the protocol above (two where it says so)."]
+    yield table("choice | true parameters | method | case 1 | case 2 | case 3 | case 4", choices)
     yield from [
-        "## The variances", "",
+        "## The variances",
         "Variance of the summed squared error in cases 1 to 3 under torque noise of two variances [N²m²]. Table II "
-        "says 0.1; what is printed is what 0.01 gives, noise of 0.1 N m.", ""]
-    yield from table("method | variance of the torque noise | case 1 | case 2 | case 3", (
+        "says 0.1; what is printed is what 0.01 gives, noise of 0.1 N m."]
+    yield table("method | variance of the torque noise | case 1 | case 2 | case 3", (
         (f"{LABELS[method]}{', paper' * (not variance)}", f"{variance:g}" if variance else "", *(
             figure(cell(run(replace(PRINTED, torque_variance=variance), method, case, FEW).error)[1]) if variance else
             f"{PAPER[method][case][1]:g}" for case in range(3)))
         for method in ("mle", "wls") for variance in (0.1, 0.01, None)))
     yield from [
-        "## What fits and what does not", "",
+        "## What fits and what does not",
         "- MLE in cases 1 to 3 is the replay's error: told of the hold, our MLE falls to a hundredth of it.",
         "- RLS below MLE in cases 2 and 3, as printed, comes out: a biased estimate can compensate part of the "
         "replay's error.",

@@ -4,8 +4,6 @@ The values are those of params/xl330 at commit af22604622. They were found on re
 them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 The laws are those of Duclusaud, Passault, Padois, Ly, ICRA 2025, and of bam/model.py of Rhoban/bam.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

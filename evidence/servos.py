@@ -4,14 +4,13 @@ MuJoCo moves the legs; the loop ticks at its own rate, reads an encoder of 12 bi
 limit are drawn. Called again the study goes on where it stopped.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import default_rng
 
 import legid
 from daq import Dataset, InputError, Rig, parse_rig
@@ -101,7 +100,7 @@ class Drawn(NamedTuple):
 
 def draw(seed: int) -> Drawn:
     """Leg and loop of a seed."""
-    rng = np.random.default_rng([seed, 1])
+    rng = default_rng([seed, 1])
     leg = replace(random_leg(rng), viscous=(0.02, 0.03), coulomb=(0.01, 0.03 * rng.uniform(0.5, 1.5)))
     return Drawn(leg, rng.uniform(4.0, 12.0), rng.uniform(0.05, 0.25), float(rng.choice([1000.0, 500.0, 250.0])),
                  rng.uniform(0.0, 0.02))
@@ -109,11 +108,11 @@ def draw(seed: int) -> Drawn:
 
 def record(drawn: Drawn, seed: int, cause: Hidden = CAUSES[0], delay_s: float = 0.0) -> list[Dataset]:
     """Runs of the leg as its servo logs them."""
-    strength = float(np.random.default_rng([seed, 2]).uniform(0.8, 1.2))
+    strength = float(default_rng([seed, 2]).uniform(0.8, 1.2))
     faults = cause.loop(strength)
     found = []
     for k in range(RUNS):
-        run = follow(drawn.leg, np.random.default_rng([seed, 3, k]), gain=drawn.gain, damping=drawn.damping,
+        run = follow(drawn.leg, default_rng([seed, 3, k]), gain=drawn.gain, damping=drawn.damping,
                      loop_hz=drawn.loop_hz, seconds=SECONDS, amplitude=AMPLITUDE[k % 4], high=HIGH[k % 4],
                      faults=replace(faults, delay_s=faults.delay_s + delay_s), law=cause.law(strength, drawn.leg),
                      name=f"r{k + 1}")
@@ -169,7 +168,7 @@ LOOPS = ("limit", "integral", "neither")
 @kept
 def values(which: int, seed: int) -> tuple[Value, ...] | None:
     """Values that a fit finds if the rig file states gain and rate alone; None without an answer."""
-    drawn, rng = draw(seed), np.random.default_rng([seed, 4])
+    drawn, rng = draw(seed), default_rng([seed, 4])
     limit, integral = rng.uniform(0.6, 1.2), rng.uniform(1.0, 4.0)
     faults = {"limit": ServoFaults(limit=limit), "integral": ServoFaults(integral=integral)}.get(LOOPS[which],
                                                                                                 ServoFaults())
@@ -237,14 +236,14 @@ def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
         tell(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:])
     yield from [
-        "# Servos: legs that follow a command", "",
+        "# Servos: legs that follow a command",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
-        "s hold command and both angles. Intervals are Wilson's, 95 %.", ""]
+        "s hold command and both angles. Intervals are Wilson's, 95 %."]
     if only != HIDDEN:
         yield from intervals(gains)
         yield from of_loops(loops)
     yield from hidden(answers)
-    yield from ["A real servo by its command is in [servo-laws](servo-laws.md).", ""]
+    yield "A real servo by its command is in [servo-laws](servo-laws.md)."
     if REAL.is_dir():
         yield from real(records)
     else:
@@ -255,10 +254,10 @@ def intervals(fits: Sequence[Fit]) -> Iterator[str]:
     """Do the intervals hold, gain and delay unknown?"""
     good = [one for one in fits if not one.failed]
     late = [abs(one.delay_s) for one in good]
-    yield from ["## Gain and delay unknown", "",
+    yield from ["## Gain and delay unknown",
                 "The rig file states nothing of the servo, and `--fix` gives beta5. Gains are 4 to 12 N m/rad, delays "
-                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it.", ""]
-    yield from table(" | measured", [
+                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it."]
+    yield table(" | measured", [
         f"95 % intervals of parameters that hold | {share(value for one in good for value in one.held)}",
         f"of the gain | {share(one.gain for one in good)}",
         f"median error of the delay | {1e3 * float(np.median(late)) if late else math.nan:.2g} ms",
@@ -269,19 +268,19 @@ def of_loops(loops: Sequence[tuple[Value, ...] | None]) -> Iterator[str]:
     """Do the intervals of a loop's own values hold, and are the values found?"""
     limited = [one for one in loops if one is not None and any(v.key == "limit" and v.true < math.inf for v in one)]
     every = [v for one in loops if one is not None for v in one if v.key != "damping" or one in limited]
-    yield from ["## Values of the loop unknown", "",
+    yield from ["## Values of the loop unknown",
                 "The rig file states gain and rate. The loop damps by 0.05 to 0.25 N m s/rad and is 0 to 20 ms late. "
                 "One in three has a limit of 0.6 to 1.2 N m, one an integral of 1 to 4 N m/(rad s). Damping counts for "
-                "loops with a limit: below it, and without feedforward, damping is viscous friction.", ""]
+                "loops with a limit: below it, and without feedforward, damping is viscous friction."]
     rows = []
     for key, absent in (("delay_s", math.nan), ("limit", math.inf), ("integral", 0.0), ("damping", math.nan)):
         own = [value for value in every if value.key == key]
         there = [value.found for value in own if value.true != absent]
         missing = [not value.found for value in own if value.true == absent]
         held = [value.low <= value.true <= value.high for value in own if value.sought and value.true != math.inf]
-        rows.append((key, share(there), share(missing), share(held)))
-    yield from table("value | present and found | absent and not found | 95 % intervals that hold", rows)
-    yield from [f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer.", ""]
+        rows.append(f"{key} | {share(there)} | {share(missing)} | {share(held)}")
+    yield table("value | present and found | absent and not found | 95 % intervals that hold", rows)
+    yield f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer."
 
 
 def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:
@@ -289,16 +288,16 @@ def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:
     ill = [(cause, said) for cause, _, said in answers if cause.effect != "none"]
     well = (said.verdict == "none" for cause, _, said in answers if cause.effect == "none")
     names = [({cause.effect}, {cause.effect, *cause.also}, set(said.causes)) for cause, said in ill]
-    yield from ["## Hidden causes", "", "The rig file states gain, damping and rate. A diagnosis that takes "
-                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing.", ""]
-    yield from table(" | measured", [
+    yield from ["## Hidden causes", "The rig file states gain, damping and rate. A diagnosis that takes "
+                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing."]
+    yield table(" | measured", [
         f"hidden cause in the answer | {share(own & said for own, _, said in names)}",
         f"or one that is the same function here | {share(near & said for _, near, said in names)}",
         f"wrong names alone | {share(said and not near & said for _, near, said in names)}",
         f"healthy legs `none` | {share(well)}"])
-    yield from table("hidden | seed | verdict | causes | error over noise: before, after | s", (
-        (cause.effect, seed, said.verdict, ", ".join(said.causes) or "-",
-         "-" if said.error is None else ", ".join(f"{value:.3g}" for value in said.error), f"{said.wall_s:.0f}")
+    yield table("hidden | seed | verdict | causes | error over noise: before, after | s", (
+        f"{cause.effect} | {seed} | {said.verdict} | {', '.join(said.causes) or '-'} | "
+        f"{'-' if said.error is None else '{:.3g}, {:.3g}'.format(*said.error)} | {said.wall_s:.0f}"
         for cause, seed, said in answers))
 
 
@@ -313,10 +312,10 @@ def real(minutes: float) -> Iterator[str]:
         elif answer.verdict != "out of reach":
             found.setdefault((case.fault, case.ratio), []).append(case.fault in answer.causes)
         tell(case, answer)
-    yield from ["## A real servo against its earlier runs", "",
+    yield from ["## A real servo against its earlier runs",
                 "Faults are put into the readings of the XL330 of `what-changed.md`, with its command as `q1_cmd_rad`. "
-                "Their sizes raise the free-run error of the reference's model by the ratio.", ""]
-    yield from table("fault | ratio | in the answer", [
+                "Their sizes raise the free-run error of the reference's model by the ratio."]
+    yield table("fault | ratio | in the answer", [
         *(f"{fault} | {ratio:g} | {share(values)}" for (fault, ratio), values in sorted(found.items())),
         f"all | | {share(value for values in found.values() for value in values)}",
         f"untouched `no_change` | | {share(quiet)}"])

@@ -7,7 +7,6 @@ import mmap
 import os
 import signal
 import struct
-import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +16,7 @@ import numpy as np
 from daq.recording.workers import QueuedSink
 from daq.runs.mcap_run import FLUSH_MESSAGES, read_run, recover
 from evidence import clock_laws, fuzz_codecs
-from evidence.frame import Lines, program
+from evidence.frame import Lines, new_folder, program
 from evidence.registry import Evidence
 from evidence.rigs import losses, record_real, record_virtual
 from tests.support.c_firmware import Served
@@ -124,20 +123,18 @@ def kill_many(folder: Path, count: int, seed: int) -> list[Killed]:
 
 def page(virtual: float = 600.0, real: float = 60.0, kills: int = 200, frames: int = 1_000_000, runs: int = 1000,
          seed: int = 1) -> Lines:
-    yield from ["# Soak, fuzz and clock studies", "",
-                "The devices are emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz.", ""]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        yield from [f"## {virtual:g} s on virtual time", "", _losses(soak_virtual(folder, virtual)), ""]
+    yield from ["# Soak, fuzz and clock studies",
+                "The devices are emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz."]
+    with new_folder() as folder:
+        yield from [f"## {virtual:g} s on virtual time", _losses(soak_virtual(folder, virtual))]
         found, share = soak_real(folder, real)
-        yield from [f"## {real:g} s on the real clock", "",
-                    _losses(found), "", f"The recording process took {share:.1%} of one core (the controller is "
-                    "another process, the chip's bus is in memory).", "",
-                    f"## {kills} SIGKILLs at random times of a recording", "",
-                    _kills(kill_many(folder, kills, seed)), ""]
+        yield from [f"## {real:g} s on the real clock",
+                    _losses(found), f"The recording process took {share:.1%} of one core (the controller is "
+                    "another process, the chip's bus is in memory).",
+                    f"## {kills} SIGKILLs at random times of a recording",
+                    _kills(kill_many(folder, kills, seed))]
     for lines in (fuzz_codecs.page(frames, seed), clock_laws.page(runs, seed)):
         yield from (f"#{line}" if line.startswith("# ") else line for line in lines)
-        yield ""
 
 
 def _kills(kills: list[Killed]) -> str:

@@ -3,8 +3,6 @@
     python -m evidence study --runs 1000 --seed 1 --methods mle,mle-free,wls,hekf,rls --out FOLDER
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from evidence.registry import Evidence

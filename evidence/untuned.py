@@ -3,11 +3,6 @@
 A rig.toml holds the mechanism, its driven joints, the gear and gravity, and nothing else.
 """
 
-from __future__ import annotations
-
-import contextlib
-import io
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +13,7 @@ from daq.dataset import Dataset, FloatArray
 from daq.rig import Rig, parse_rig
 from daq.runs.csv_run import write_csv
 from estimator.fitting.fit import fit
-from evidence.frame import Lines, program, table
+from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments import cli
@@ -172,13 +167,12 @@ def cases() -> Iterator[Case]:
 
 def fitted(runs: Sequence[Dataset], rig: str) -> tuple[int, str]:
     """Exit status of `legid fit` and all that it said."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as out, \
-            contextlib.redirect_stderr(out):
+    with new_folder() as folder, heard() as out:
         files = []
         for run in runs:
             files.append(f"{folder}/{run.name.removesuffix('.gz')}")
             write_csv(run, files[-1])
-        Path(folder, "rig.toml").write_text(rig)
+        (folder / "rig.toml").write_text(rig)
         status = cli.main(["fit", *files, "--rig", f"{folder}/rig.toml"])
     return status, out.getvalue().replace(".csv.gz", ".csv")
 
@@ -199,17 +193,17 @@ def page(only: Sequence[str] = tuple(RECORDS)) -> Lines:
         raise SystemExit(f"{REAL} is not there: the records are no part of the project")
     rows = [judged(case) for case in cases()]
     yield from [
-        "# Real records without a specialist", "",
-        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing",
-        "else. Every figure is of one command without an option.", "",
-        "## Departure from what is published [%]", "",
+        "# Real records without a specialist",
+        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing else. "
+        " Every figure is of one command without an option.",
+        "## Departure from what is published [%]",
         "beta1, beta2, ... in the mechanism's order. Before: a fit that chooses nothing. `fit`: with its own "
-        "choices", "for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`.", ""]
-    yield from table("record | before | `fit` | `tune`, then `fit`", map(accuracy, only))
-    yield from ["## Spoilt set-ups", "",
+        "choices for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`."]
+    yield table("record | before | `fit` | `tune`, then `fit`", map(accuracy, only))
+    yield from ["## Spoilt set-ups",
                 f"{sum(ok for _, ok in rows)} of {len(rows)} variants are named with the right remedy or run; none may "
-                "converge in silence.", ""]
-    yield from table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
+                "converge in silence."]
+    yield table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
 
 
 EVIDENCE = (

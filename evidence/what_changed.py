@@ -5,8 +5,6 @@ at sizes that raise the free-run error of the reference's model on these runs by
 where it stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -194,17 +192,16 @@ def page(minutes: float = 60.0) -> Lines:
         return f"{sum(a.causes == (case.fault,) for case, a in of)} of {len(of)}"
 
     yield from [
-        "# What changed on a real machine", "",
+        "# What changed on a real machine",
         f"{SPLITS} random splits of each record into reference and test runs (seed {SEED}). "
-        f"Splits with faults: {', '.join(f'{count} of {record}' for record, count in zip(USED, splits))}.",
+        f"Splits with faults: {', '.join(f'{count} of {record}' for record, count in zip(USED, splits))}. "
         "Each fault is put exactly into the readings of the test runs. Its size is the smallest that raises the "
         f"free-run error of the reference's nominal model on the test runs by the ratio. Free runs take {PIECE_S:g} s, "
         "and the error is the rms over the angles. The servo's runs hold four kinds of motion under two controllers, "
         "so its reference and test runs mostly hold different motion. The form of the model of unexplained structure "
         "was chosen on splits of `a0` and the servo. The rules for further sizes and for left-out runs were chosen on "
-        "all three records. The arms showed that declared zeros of encoders must be unknown in each run.", "",
-        ]
-    yield from table(f" | {' | '.join(f'ratio {ratio:g}' for ratio in RATIOS)} | all | wanted", [
+        "all three records. The arms showed that declared zeros of encoders must be unknown in each run."]
+    yield table(f" | {' | '.join(f'ratio {ratio:g}' for ratio in RATIOS)} | all | wanted", [
         ("fault in the answer", *map(counted, by_ratio), counted(spoiled), "80, 90, 95 %"),
         ("fault in the answer, arms only", *map(counted, on_arms), counted([row for of in on_arms for row in of]),
          "80, 90, 95 %"),
@@ -224,18 +221,18 @@ def page(minutes: float = 60.0) -> Lines:
             put = ["-"] * 3
         lines.append((record, fault, *put, counted(reached, True), verdicts.count("changed_unexplained"),
                       verdicts.count("no_change"), len(own) - len(reached)))
-    yield from table("record | fault | ratio | sizes | in the answer | wrong names | `changed_unexplained` | "
-                     "`no_change` | out of reach", lines)
+    yield table("record | fault | ratio | sizes | in the answer | wrong names | `changed_unexplained` | "
+                "`no_change` | out of reach", lines)
     largest = ", ".join(f"`{fault}` {size:g}{unit}" for (fault, size), unit in zip(
         LARGEST.items(), (" s", "", " rad", "", " rad")))
     yield from [
         f"Out of reach: no admissible size has the ratio. The largest admissible sizes are {largest}. An "
-        "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.", "",
+        "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.",
         "Where a share is missed: the saturation that is put in has a fifth power of the torque, the library's "
         "begins with the third. Runs of other torques disagree about its size. An eccentricity and a scale of an "
         "encoder differ little where a joint turns little. Tried and not kept: one saturation for both motors, and "
         "left-out runs predicted as if the other runs knew the size exactly. On the arms this found 36 of 54 faults "
-        "at ratio 4.", ""]
+        "at ratio 4."]
 
 
 EVIDENCE = (

@@ -1,13 +1,11 @@
 """legid's own fit: time, memory, and its floor."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,9 @@ from estimator.likelihood.latent_problem import PIECE
 from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.memory import pieces
 from estimator.model import Collocation, Motion
+from estimator.result import FitResult
 from evidence.bench.record import OPTIONS, Posed, Recorded, Watch, pose
+from evidence.frame import new_folder
 from tests.support.assembly_numpy import accelerometer_rows, motion_rows
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n'
@@ -68,11 +68,11 @@ def solve(recorded: Recorded) -> dict[str, Any]:
     """Whole fit from measurements to intervals: a process's first, with its peak memory, then the best of several."""
     times = max(5, min(25, 60_000 // len(recorded.data.time_s)))
 
-    def whole() -> object:
+    def whole() -> FitResult:
         return fit([recorded.data], recorded.mechanism, OPTIONS)
 
     watch = Watch()
-    result = fit([recorded.data], recorded.mechanism, OPTIONS)
+    result = whole()
     first = watch.seconds()
     memory = peak_memory_mb()
     seconds = best_of(whole, times)
@@ -86,8 +86,8 @@ def solve(recorded: Recorded) -> dict[str, Any]:
 
 def typed(recorded: Recorded, times: int = 5) -> float:
     """Least seconds of `legid fit` as a command, from a CSV file, its children's processor seconds where fewer."""
-    with tempfile.TemporaryDirectory() as directory:
-        run, rig = Path(directory) / "run.csv", Path(directory) / "rig.toml"
+    with new_folder() as folder:
+        run, rig = folder / "run.csv", folder / "rig.toml"
         write_csv(recorded.data, run)
         rig.write_text(RIG.format(lever=recorded.mechanism.lever_arm))
         found = np.inf
@@ -103,9 +103,6 @@ def typed(recorded: Recorded, times: int = 5) -> float:
 
 def solve_free(recorded: Recorded) -> dict[str, Any]:
     """The paper's free latents, by legid's own derivatives: `--latent free`."""
-    from dataclasses import replace
-
-    options = replace(OPTIONS, latent="free")
     watch = Watch()
-    result = fit([recorded.data], recorded.mechanism, options)
+    result = fit([recorded.data], recorded.mechanism, replace(OPTIONS, latent="free"))
     return {"seconds": watch.seconds(), "iterations": result.iterations, "beta": result.beta.tolist()}

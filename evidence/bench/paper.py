@@ -1,7 +1,5 @@
 """The paper's literal recipe, section IV: free latents, numerical gradient and Hessian of (50), Newton's step (51)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

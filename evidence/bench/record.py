@@ -1,7 +1,5 @@
 """The one record of a leg that all peers get, and the problem that the default estimator makes of it."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any, NamedTuple

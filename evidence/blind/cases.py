@@ -1,7 +1,5 @@
 """The catalogue of the blind bench: cases, and what a seed makes of one."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import dataclass, fields, replace
@@ -9,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from evidence.blind.effects import INSIDE, LARGEST, MAKERS, NEEDS, SMALLEST, Hidden
 from evidence.blind.excite import PATTERN, SECONDS, Torque, draw
@@ -54,7 +53,7 @@ class DrawnCase:
     sensors: Sensors
     torques: list[Torque]
     hidden: list[Hidden]
-    noise: np.random.Generator
+    noise: Generator
     session: Array
     strength: float
     """Of the last effect; what is scaled when it is the only one."""
@@ -70,7 +69,7 @@ def strengths() -> dict[str, float]:
     return found
 
 
-def draw_leg(rng: np.random.Generator) -> Leg:
+def draw_leg(rng: Generator) -> Leg:
     """A leg of a plausible size."""
     nominal = Leg()
     factor = rng.uniform(0.8, 1.25, len(fields(Leg)))
@@ -81,7 +80,7 @@ def draw_case(case: Case, table: dict[str, float], strength: float | None = None
     parts = (case.kind, "+".join(case.effects), case.level)
     key = [zlib.crc32(part.encode()) for part in parts]
     streams = np.random.SeedSequence([*key, case.seed]).spawn(4)
-    plan, hide, sensor, noise = (np.random.default_rng(s) for s in streams)
+    plan, hide, sensor, noise = (default_rng(s) for s in streams)
     variant = VARIANTS[case.seed % len(VARIANTS)] if case.kind == "none" else "plain"
     sensors = Sensors(process=float(sensor.uniform(0.005, 0.015)), process_time=float(sensor.uniform(0.05, 0.4)))
     if variant == "coarse":
@@ -110,7 +109,7 @@ def physical(name: str, strength: float) -> float:
 
 def draw_pair(seed: int) -> tuple[str, str]:
     """Two effects that do not cancel each other's meaning."""
-    rng = np.random.default_rng([7, seed])
+    rng = default_rng([7, seed])
     while True:
         first, second = (str(n) for n in rng.choice(INSIDE, 2, replace=False))
         if {first, second} not in APART:

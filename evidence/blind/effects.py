@@ -5,13 +5,12 @@ the torque and to the sensors, and the sizes that a diagnosis should state. A st
 effects whose size shrinks as they grow (a shaft's stiffness, a saturation level) it is the inverse of that size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 GEAR = 50.0
 
@@ -42,10 +41,10 @@ class Hidden:
     outside: bool = False
 
 
-Maker = Callable[[float, np.random.Generator], Hidden]
+Maker = Callable[[float, Generator], Hidden]
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _sign(rng: Generator) -> float:
     return float(rng.choice((-1.0, 1.0)))
 
 
@@ -53,7 +52,7 @@ def _plain(where: str, key: str, size: str, unit: str, joint: int | None = None,
            outside: bool = False) -> Callable[[str], Maker]:
     """An effect whose strength, with a drawn sign if `signed`, is its one size and a coefficient of `where`."""
     def named(name: str) -> Maker:
-        def make(strength: float, rng: np.random.Generator) -> Hidden:
+        def make(strength: float, rng: Generator) -> Hidden:
             value = strength * _sign(rng) if signed else strength
             more: dict[str, Any] = {where: {key: value}}
             return Hidden(name, joint, (Size(size, unit, strength if outside else value),), outside=outside, **more)
@@ -61,14 +60,14 @@ def _plain(where: str, key: str, size: str, unit: str, joint: int | None = None,
     return named
 
 
-def stribeck_friction(strength: float, rng: np.random.Generator) -> Hidden:
+def stribeck_friction(strength: float, rng: Generator) -> Hidden:
     speed = rng.uniform(0.15, 0.5)
     return Hidden("stribeck_friction", 2, (Size("excess_torque", "N m", strength),
                                            Size("stribeck_velocity", "rad/s", speed)),
                   plant={"stribeck2": strength, "stribeck_velocity2": speed})
 
 
-def asymmetric_friction(strength: float, rng: np.random.Generator) -> Hidden:
+def asymmetric_friction(strength: float, rng: Generator) -> Hidden:
     # the contract's F*max(s, 0) and Fv by direction. F alone is, term for term, a Coulomb level and an offset of the
     # torque: nothing could tell them apart. A negative F would make friction drive the joint, so the sign stays
     viscous = strength / rng.uniform(2.0, 6.0)
@@ -77,7 +76,7 @@ def asymmetric_friction(strength: float, rng: np.random.Generator) -> Hidden:
                   plant={"asymmetry2": strength, "asymmetric_drag2": float(viscous)})
 
 
-def quadratic_drag(strength: float, rng: np.random.Generator) -> Hidden:
+def quadratic_drag(strength: float, rng: Generator) -> Hidden:
     joint = int(rng.choice((1, 2)))
     # the pivot turns at a third of the knee's rate and carries more: equally visible at twelve times the size
     value = strength * (12.0 if joint == 1 else 1.0)
@@ -85,13 +84,13 @@ def quadratic_drag(strength: float, rng: np.random.Generator) -> Hidden:
                   plant={f"drag{joint}": value})
 
 
-def friction_drift(strength: float, rng: np.random.Generator) -> Hidden:
+def friction_drift(strength: float, rng: Generator) -> Hidden:
     span = rng.uniform(60.0, 140.0)
     return Hidden("friction_drift", 2, (Size("change", "N m", strength), Size("time_constant", "s", span)),
                   plant={"warmup": strength, "warmup_time": span})
 
 
-def joint_stiffness(strength: float, rng: np.random.Generator) -> Hidden:
+def joint_stiffness(strength: float, rng: Generator) -> Hidden:
     joint = int(rng.choice((1, 2)))
     rest = rng.uniform(-0.4, 0.4)
     return Hidden("joint_stiffness", joint, (Size("stiffness", "N m/rad", strength), Size("rest_angle", "rad", rest)),
@@ -102,7 +101,7 @@ def joint_stiffness(strength: float, rng: np.random.Generator) -> Hidden:
 MOTOR_INERTIA = 2e-4
 
 
-def joint_elasticity(strength: float, rng: np.random.Generator) -> Hidden:
+def joint_elasticity(strength: float, rng: Generator) -> Hidden:
     stiffness = 1.0 / strength
     damping = rng.uniform(0.05, 0.15) * 2.0 * np.sqrt(stiffness * MOTOR_INERTIA)
     return Hidden("joint_elasticity", 2, (Size("stiffness", "N m/rad", stiffness),),
@@ -110,7 +109,7 @@ def joint_elasticity(strength: float, rng: np.random.Generator) -> Hidden:
                   also=(("rotor_inertia", None),))
 
 
-def backlash(strength: float, rng: np.random.Generator) -> Hidden:
+def backlash(strength: float, rng: Generator) -> Hidden:
     stiffness = rng.uniform(150.0, 300.0)
     damping = 0.3 * 2.0 * np.sqrt(stiffness * MOTOR_INERTIA)
     return Hidden("backlash", 2, (Size("gap", "rad", strength),),
@@ -119,12 +118,12 @@ def backlash(strength: float, rng: np.random.Generator) -> Hidden:
                   also=(("rotor_inertia", None), ("joint_elasticity", 2)))
 
 
-def rotor_inertia(strength: float, rng: np.random.Generator) -> Hidden:
+def rotor_inertia(strength: float, rng: Generator) -> Hidden:
     return Hidden("rotor_inertia", None, (Size("inertia", "kg m^2", strength),),
                   plant={"rotor": strength, "gear": GEAR})
 
 
-def end_stop_contact(strength: float, rng: np.random.Generator) -> Hidden:
+def end_stop_contact(strength: float, rng: Generator) -> Hidden:
     """Strength: how far the stop stands inside +-1.6 rad, as a share of it."""
     side = _sign(rng)
     angle = side * 1.6 * (1.0 - strength)
@@ -133,7 +132,7 @@ def end_stop_contact(strength: float, rng: np.random.Generator) -> Hidden:
                          "stop_damping": 0.15})
 
 
-def base_compliance(strength: float, rng: np.random.Generator) -> Hidden:
+def base_compliance(strength: float, rng: Generator) -> Hidden:
     stiffness = 1.0 / strength
     mass = rng.uniform(3.0, 6.0)
     damping = rng.uniform(0.05, 0.15) * 2.0 * np.sqrt(stiffness * (mass + 2.0))
@@ -141,38 +140,38 @@ def base_compliance(strength: float, rng: np.random.Generator) -> Hidden:
                   plant={"base_mass": mass, "base_stiffness": stiffness, "base_damping": float(damping)})
 
 
-def torque_ripple(strength: float, rng: np.random.Generator) -> Hidden:
+def torque_ripple(strength: float, rng: Generator) -> Hidden:
     order = float(rng.choice((1, 2)))
     return Hidden("torque_ripple", 2, (Size("amplitude", "N m", strength), Size("order", "1", order)),
                   plant={"ripple": strength, "ripple_order": order, "ripple_phase": rng.uniform(0, 2 * np.pi),
                          "gear": GEAR})
 
 
-def torque_offset(strength: float, rng: np.random.Generator) -> Hidden:
+def torque_offset(strength: float, rng: Generator) -> Hidden:
     value = strength * _sign(rng)
     # stated as the reading's: the shunt shows that much less than acts
     return Hidden("torque_offset", None, (Size("offset", "N m", -value),), drive={"offset": value})
 
 
-def torque_saturation(strength: float, rng: np.random.Generator) -> Hidden:
+def torque_saturation(strength: float, rng: Generator) -> Hidden:
     return Hidden("torque_saturation", None, (Size("level", "N m", 1.0 / strength),),
                   drive={"saturation": 1.0 / strength})
 
 
-def accelerometer_bias(strength: float, rng: np.random.Generator) -> Hidden:
+def accelerometer_bias(strength: float, rng: Generator) -> Hidden:
     angle = rng.uniform(0, 2 * np.pi)
     x, y = strength * np.cos(angle), strength * np.sin(angle)
     return Hidden("accelerometer_bias", None, (Size("bias_x", "m/s^2", float(x)), Size("bias_y", "m/s^2", float(y))),
                   sense={"accel_bias_x": float(x), "accel_bias_y": float(y)})
 
 
-def imu_misalignment(strength: float, rng: np.random.Generator) -> Hidden:
+def imu_misalignment(strength: float, rng: Generator) -> Hidden:
     value = strength * _sign(rng)
     # stated in the sense of q1, which turns the link the other way under its sensor's axes
     return Hidden("imu_misalignment", None, (Size("angle", "rad", -value),), sense={"misalignment": value})
 
 
-def encoder_eccentricity(strength: float, rng: np.random.Generator) -> Hidden:
+def encoder_eccentricity(strength: float, rng: Generator) -> Hidden:
     phase = rng.uniform(0, 2 * np.pi)
     return Hidden("encoder_eccentricity", 2, (Size("amplitude", "rad", strength), Size("phase", "rad", phase)),
                   sense={"eccentricity": strength, "eccentricity_phase": phase})
@@ -181,40 +180,40 @@ def encoder_eccentricity(strength: float, rng: np.random.Generator) -> Hidden:
 # ---- outside the library -------------------------------------------------------------------------------------
 
 
-def swaying_gravity(strength: float, rng: np.random.Generator) -> Hidden:
+def swaying_gravity(strength: float, rng: Generator) -> Hidden:
     """The floor under the rig tilts slowly to and fro."""
     return Hidden("swaying_gravity", None, (Size("amplitude", "rad", strength),),
                   plant={"tilt": strength, "tilt_rate": rng.uniform(0.5, 1.5), "tilt_phase": rng.uniform(0, 6.28)},
                   outside=True)
 
 
-def sloshing_payload(strength: float, rng: np.random.Generator) -> Hidden:
+def sloshing_payload(strength: float, rng: Generator) -> Hidden:
     rate = rng.uniform(6.0, 14.0)
     return Hidden("sloshing_payload", 2, (Size("inertia", "kg m^2", strength), Size("rate", "rad/s", rate)),
                   plant={"slosh": strength, "slosh_stiffness": strength * rate**2,
                          "slosh_damping": 0.04 * strength * rate}, outside=True)
 
 
-def cable_hysteresis(strength: float, rng: np.random.Generator) -> Hidden:
+def cable_hysteresis(strength: float, rng: Generator) -> Hidden:
     return Hidden("cable_hysteresis", 1, (Size("torque", "N m", strength),),
                   plant={"cable": strength, "cable_yield": rng.uniform(0.1, 0.3)},
                   also=(("presliding_friction", 1), ("joint_stiffness", 1)), outside=True)
 
 
-def encoder_interpolation(strength: float, rng: np.random.Generator) -> Hidden:
+def encoder_interpolation(strength: float, rng: Generator) -> Hidden:
     return Hidden("encoder_interpolation", 2, (Size("amplitude", "rad", strength),),
                   sense={"interpolation": strength, "interpolation_order": float(rng.integers(8, 17)),
                          "interpolation_phase": rng.uniform(0, 6.28)}, outside=True)
 
 
-def angle_dependent_friction(strength: float, rng: np.random.Generator) -> Hidden:
+def angle_dependent_friction(strength: float, rng: Generator) -> Hidden:
     """A bent shaft or a tight gear: friction that depends on where the knee is."""
     return Hidden("angle_dependent_friction", 2, (Size("amplitude", "N m", strength),),
                   plant={"angle_friction": strength, "angle_order": float(rng.integers(2, 6)),
                          "angle_phase": rng.uniform(0, 6.28)}, outside=True)
 
 
-def loose_payload(strength: float, rng: np.random.Generator) -> Hidden:
+def loose_payload(strength: float, rng: Generator) -> Hidden:
     """A part of link 2 falls off between the fourth and the fifth run."""
     return Hidden("loose_payload", None, (Size("share", "1", strength),), leg={"m2": 1.0 - strength}, outside=True)
 

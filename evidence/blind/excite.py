@@ -1,7 +1,5 @@
 """Knee torque for the bench's runs: odd random-phase multisines, and slow ramps with holds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

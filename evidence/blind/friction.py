@@ -1,7 +1,5 @@
 """Dry friction of both joints as a set-valued force, solved implicitly over each step."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from evidence.blind.leg import Array, Leg, Rows

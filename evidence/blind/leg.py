@@ -1,7 +1,5 @@
 """A leg's physical parameters, the coefficients of what may be wrong with it, and the layout of its state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -28,7 +26,7 @@ class Leg:
     coulomb1: Array | float = 0.03
     coulomb2: Array | float = 0.05
 
-    def lanes(self, count: int) -> Leg:
+    def lanes(self, count: int) -> "Leg":
         """The same leg with every field an array of `count` lanes."""
         return Leg(**{f.name: np.broadcast_to(np.asarray(getattr(self, f.name), float), (count,)).copy()
                       for f in fields(self)})
@@ -82,7 +80,7 @@ class Rows:
     count: int = 4
 
     @classmethod
-    def plan(cls, c: Mapping[str, Array]) -> Rows:
+    def plan(cls, c: Mapping[str, Array]) -> "Rows":
         rows = cls()
         for name, key, width in (("motor", "shaft", 2), ("bristle1", "bristle1", 1), ("bristle2", "bristle2", 1),
                                  ("base", "base_mass", 2), ("slosh", "slosh", 2), ("cable", "cable", 1)):

@@ -1,7 +1,5 @@
 """From true motion to what a rig records: the IMU, the knee encoder, the shunt, and their faults."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

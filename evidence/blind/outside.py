@@ -4,8 +4,6 @@ They were written after the rule of the diagnosis was settled, and none served t
 `partial` without a wrong name; `none` is right where the error is within 1.5 times what noise leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

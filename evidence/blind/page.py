@@ -1,7 +1,5 @@
 """The page of `make evidence`: each class of cases by family, against targets; sizes, times, and what is not right."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -193,7 +191,7 @@ def answer_file(case: PlannedCase, folder: Path) -> Path:
 
 
 def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
-    """The page's tables, line by line."""
+    """The page's tables and what is said of them."""
     legs = [a for a in answers if a.kind != "record"]
     real = [a for a in answers if a.kind == "record"]
     if legs:
@@ -203,8 +201,8 @@ def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
         yield from _sizes_and_times(legs, at_once)
         yield from _not_right(legs)
     if real:
-        yield from ["## Real records with a fault put in", "",
-                    "Found: the fault is named or in the set, and was not before, or grew by what was put in.", "",
+        yield from ["## Real records with a fault put in",
+                    "Found: the fault is named or in the set, and was not before, or grew by what was put in.",
                     *records.compare([a.outcome for a in real], {a.case.name: a.document for a in real})]
 
 
@@ -222,16 +220,16 @@ def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
         cells = ((column, rate(own, column.count)) for column in COLUMNS)
         rows.append((family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)))
     rows.append(("target", *(column.judge(rate(answers, column.count)) for column in COLUMNS)))
-    yield from ["## By family", "", "Bold: misses the target.", ""]
-    yield from table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
+    yield from ["## By family", "Bold: misses the target."]
+    yield table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
     single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
     pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))
     listed = [a.outcome.true_cause(c) for a in answers if a.kind in ("single", "pair") and a.outcome.verdict in NAMES
               for c in a.listed]
-    yield from [f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
-                f"{pair.hits} of {pair.count}. Of {len(listed)} effects listed as present together with a name "
-                f"{sum(listed)} were put in; several families have small faults of their own. Cases without an "
-                f"answer: {sum(bool(a.document['bench']['crashed']) for a in answers)}. They count as misses.", ""]
+    yield (f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
+           f"{pair.hits} of {pair.count}. Of {len(listed)} effects listed as present together with a name "
+           f"{sum(listed)} were put in; several families have small faults of their own. Cases without an "
+           f"answer: {sum(bool(a.document['bench']['crashed']) for a in answers)}. They count as misses.")
 
 
 def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
@@ -239,8 +237,8 @@ def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
               [a for a in answers if a.before is not None and low < a.before <= high] for low, high in pairwise(RATIOS)}
     if unknown := [a for a in answers if a.before is None]:
         groups["not stated"] = unknown
-    yield from ["## By error before, over the floor", ""]
-    yield from table(" | ".join(["ratio", *(title for title, _ in BY_RATIO)]), (
+    yield "## By error before, over the floor"
+    yield table(" | ".join(["ratio", *(title for title, _ in BY_RATIO)]), (
         (name, *(_cell(rate(own, count)) for _, count in BY_RATIO)) for name, own in groups.items()))
 
 
@@ -248,20 +246,20 @@ def _reliability(answers: Sequence[Answer]) -> Iterator[str]:
     """Share of true answers by stated probability, of causes in the library and outside it; and calibrated anew."""
     stated = [(a, a.probability) for a in answers if a.probability is not None]
     known = [(a, a.in_library) for a in answers if a.in_library is not None]
-    yield from ["## Stated probability and true answers", "",
+    yield from ["## Stated probability and true answers",
                 "An answer is true if its causes are exactly those present. For `partial`, its causes are among those "
                 "present. For `none`, nothing material is. Outside the library only `none` can be true, up to "
-                f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.", "",
-                *_by_probability("stated", stated),
-                "The probability if the library has the true causes:", "", *_by_probability("if in the library", known)]
+                f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.",
+                _by_probability("stated", stated),
+                "The probability if the library has the true causes:", _by_probability("if in the library", known)]
     told = [Stated(a.case.family, p, a.true) for a, p in known]
     if len({one.family for one in told}) > 1:
         yield from ["Calibrated anew by these answers, each family by all others (of all: a = {:.3g}, b = {:.3g}, "
-                    "c = {:.3g}):".format(*fit(told)), "",
-                    *_by_probability("calibrated", [(a, p) for (a, _), p in zip(known, left_out(told))])]
+                    "c = {:.3g}):".format(*fit(told)),
+                    _by_probability("calibrated", [(a, p) for (a, _), p in zip(known, left_out(told))])]
 
 
-def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Iterator[str]:
+def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> str:
     rows = []
     for low, high in [*pairwise(PROBABILITIES), (0.0, 1.0)]:
         own = [(a, p) for a, p in stated if low <= p and (p < high or high == 1.0)]
@@ -273,10 +271,10 @@ def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Itera
 
 
 def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
-    yield from ["## Sizes and time", "",
+    yield from ["## Sizes and time",
                 f"Time of one diagnosis: median, 95th percentile, worst; {at_once} ran at once. The target of wall "
-                "time is for two idle cores.", ""]
-    yield from table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
+                "time is for two idle cores."]
+    yield table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
         *((family, _cell(sizes(own)), _times(own, "wall_s"), _times(own, "cpu_s"))
           for family, own in _families(answers)), "target | 93 to 97 % | 8, 20, 40 | -"])
 
@@ -288,10 +286,10 @@ def _times(answers: Iterable[Answer], key: str) -> str:
 
 def _not_right(answers: Sequence[Answer]) -> Iterator[str]:
     wrong = [a for a in answers if not a.right]
-    yield from ["## Cases that are not right", "",
+    yield from ["## Cases that are not right",
                 f"{len(answers) - len(wrong)} of {len(answers)} are right. Material singles and pairs must be named "
-                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors.", ""]
-    yield from table("family | case | answer | error before | after", (
+                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors."]
+    yield table("family | case | answer | error before | after", (
         (a.case.family, a.case.name, _said(a), *(
             "-" if value is None else f"{value:.2f}"
             for value in (a.before, (a.document.get("error") or {}).get("after"))))

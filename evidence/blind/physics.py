@@ -10,8 +10,6 @@ Extra states exist only when a lane asks for them: motor side (elasticity, backl
 spring, a sloshing inertia, a hysteretic cable. Coefficients of a lane that does not have the effect are zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -43,7 +41,7 @@ class Motion:
     fast: Array
     """(q1, w1, a1, base, tilt) of the fast lanes at every step, (T, 5, F)."""
 
-    def pick(self, lanes: NDArray[np.intp]) -> Motion:
+    def pick(self, lanes: NDArray[np.intp]) -> "Motion":
         """Motion of some lanes, without the fast record."""
         names = ("q1", "q2", "w1", "w2", "a1", "a2", "base_acceleration", "tilt", "encoder")
         return replace(self, **{name: getattr(self, name)[:, lanes] for name in names},

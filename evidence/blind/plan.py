@@ -1,7 +1,5 @@
 """Cases of `make evidence`: a family of legs, what is hidden, a seed; and the order in which they are diagnosed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

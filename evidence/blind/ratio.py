@@ -5,8 +5,6 @@ each run's initial state; to first order it removes from both errors what lies i
 that of what is projected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ diagnosed too: what changes against it is what was put in. The rig files are tho
 these machines; records and their published answers stay in ../shared/realdata.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -144,7 +142,7 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         record, fault = o.truth["name"].rsplit("-", 1)[0].split(".")
         before = plain.get(record)
         if before is None:
-            rows.append((record, fault, "no answer yet", o.said, "-", "-", "-"))
+            rows.append(f"{record} | {fault} | no answer yet | {o.said} | - | - | -")
             continue
         size, told = next(iter(o.hidden[0]["sizes"].values()), None), _size(o, o.hidden[0])
         already = size_before(answers[before.truth["name"]], o.hidden[0])
@@ -155,12 +153,12 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         size_found = "-" if told is None else f"{told[0]:.3g} [{told[1]:.3g}, {told[2]:.3g}]"
         error = answers[o.truth["name"]].get("error")
         errors = "-" if not error else f"{error['before']:.2f}, {error['after']:.2f}"
-        rows.append((record, fault, before.said, o.said, put_in, size_found, errors))
-    return [*table(" | measured", [
-        ("named or in the set", share(one for own in by_record.values() for one in own)),
-        *((f"of these on {one}", share(own)) for one, own in sorted(by_record.items())),
-        ("size inside its 95 % interval", share(sized))]),
-        *table("record | fault | untouched | spoilt | there + put in | found | rms error before, after", rows)]
+        rows.append(f"{record} | {fault} | {before.said} | {o.said} | {put_in} | {size_found} | {errors}")
+    return [table(" | measured", [
+        f"named or in the set | {share(one for own in by_record.values() for one in own)}",
+        *(f"of these on {one} | {share(own)}" for one, own in sorted(by_record.items())),
+        f"size inside its 95 % interval | {share(sized)}"]),
+        table("record | fault | untouched | spoilt | there + put in | found | rms error before, after", rows)]
 
 
 def is_found(spoilt: Outcome, plain: Outcome, inside: bool | None) -> bool:

@@ -1,7 +1,5 @@
 """One case, diagnosed by `legid diagnose` in a process of its own, as a user types it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

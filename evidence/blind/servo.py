@@ -5,8 +5,6 @@ effect has a law of its own, none the library's formula where another is plausib
 jump, so what is logged there is the mean of both sides.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +13,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
@@ -161,7 +160,7 @@ def model_of(leg: Leg, plant: Plant, dry: float) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(text)
 
 
-def reference(rng: np.random.Generator, time: np.ndarray, run: int) -> tuple[np.ndarray, np.ndarray]:
+def reference(rng: Generator, time: np.ndarray, run: int) -> tuple[np.ndarray, np.ndarray]:
     """A servo's commanded angle and rate: random-phase multisines, some runs fast, some slow."""
     high = (2.2, 1.6, 2.8, 0.7)[run % 4]
     f = np.arange(0.1, high, 1.0 / SECONDS)
@@ -174,7 +173,7 @@ def reference(rng: np.random.Generator, time: np.ndarray, run: int) -> tuple[np.
     return peak * begin * q, peak * (begin * v + (time < 1.0) * q)
 
 
-def record(leg: Leg, plant: Plant, dry: float, rng: np.random.Generator, run: int, session_s: float
+def record(leg: Leg, plant: Plant, dry: float, rng: Generator, run: int, session_s: float
            ) -> dict[str, np.ndarray]:
     """One run as logged, without noise; what is late is read off a finer grid."""
     model = model_of(leg, plant, dry)
@@ -215,7 +214,7 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
     """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
     if is_made(name, seed, out):
         return
-    rng = np.random.default_rng([sum(map(ord, name)), seed])
+    rng = default_rng([sum(map(ord, name)), seed])
     strength *= rng.uniform(0.85, 1.15)
     plant = makers[name](strength)
     leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
@@ -235,7 +234,7 @@ def counted(q: np.ndarray) -> np.ndarray:
     return np.asarray(np.round(q / step) * step)
 
 
-def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: np.random.Generator,
+def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: Generator,
                leg: Leg, rig: str, hidden: Sequence[dict[str, Any]], dry: float) -> None:
     """Runs as sensors with noise log them, a rig file that says nothing but what everybody knows, and the truth."""
     folder = out / f"{name}-{seed}"

@@ -6,8 +6,6 @@ run by much; what is hidden beside them is one of `servo`'s effects of ordinary 
 material.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ the runs by an open-loop torque and half by a position controller, logged at 100
 logged, none by the library's formula where another is plausible; so it can be exact, whatever the leg does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

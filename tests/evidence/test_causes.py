@@ -162,7 +162,7 @@ def test_a_case_that_could_not_be_made_counts_as_a_miss(tmp_path: Path, monkeypa
     assert causes.answer(case, tmp_path)["bench"]["said"] == "not made: ValueError: no leg"
     (found,) = read([case], tmp_path)
     assert found.material and not found.right and [e["effect"] for e in found.outcome.hidden] == ["gyro_bias"]
-    assert "| geared | gyro_bias-1 | fit_failed (not made: ValueError: no leg) | - | - |" in tables([found], 1)
+    assert "| geared | gyro_bias-1 | fit_failed (not made: ValueError: no leg) | - | - |" in "\n".join(tables([found], 1))
 
 
 def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path: Path) -> None:
