@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,17 +61,15 @@ def small_faults_leg(hidden: str, rng: Generator, folder: Path) -> KnownLeg:
 
 
 def _servo(plant: servo.Plant, rng: Generator, folder: Path) -> KnownLeg:
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    runs = (servo.record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    servo.write_case("leg", 0, folder, runs, rng, leg, geared.RIG, [], dry)
-    return read_leg(folder / "leg-0", truth_of(replace(leg, coulomb=(0.1 * dry, dry)).beta()))
+    leg = servo.write_plant("leg", 0, folder, plant, [], *servo.draw(rng), rng)
+    return read_leg(folder / "leg-0", truth_of(leg.beta()))
 
 
 def geared_leg(hidden: str, rng: Generator, folder: Path) -> KnownLeg:
     leg, dry, runs = geared.record([geared.MAKERS[hidden](rng.uniform(0.85, 1.15))] * RUNS, rng)
     moved = list(runs)
     truth = truth_of(leg.beta() + _lumped(moved, geared.ROTOR))
-    servo.write_case("leg", 0, folder, moved, rng, leg, geared.RIG, [], dry)
+    servo.write_case("leg", 0, folder, moved, rng, leg, servo.RIG, [], dry)
     return read_leg(folder / "leg-0", {name: truth[name] for name in NAMES if name not in FRICTION})
 
 

@@ -4,7 +4,6 @@ The laws are those of the effects, written out anew; the readings are changed as
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ from numpy.random import Generator
 
 from estimator.score import default_tolerances
 from evidence.blind import servo
-from evidence.known_legs import RUNS, KnownLeg, read_leg, truth_of
-from tests.support.mujoco_leg import random_leg
+from evidence.known_legs import KnownLeg, read_leg, truth_of
 
 Faults = Mapping[str, np.ndarray]
 """Effect -> (joints, sizes): one row for each joint, or one for all of the rig."""
@@ -47,15 +45,15 @@ def plant_of(faults: Faults, rng: Generator) -> servo.Plant:
         torque[1] += np.hypot(*faults["torque_ripple"][1]) * np.sin(servo.GEAR * q[1] + phase)
         return float(torque[0]), float(torque[1])
 
-    def logged(columns: dict[str, np.ndarray]) -> None:
+    def logged(columns: servo.Readings) -> None:
         step = float(columns["time_s"][1])
         rate = columns["gyro_radps"].copy()
         x, y = (columns[name] for name in ("accel_x_mps2", "accel_y_mps2"))
         excess, angle = faults["imu_lever_arm"][0, 0], faults["imu_misalignment"][0, 0]
-        x, y = x + excess * np.gradient(rate, step), y - excess * rate**2
-        bias = faults["accelerometer_bias"][0]
-        columns["accel_x_mps2"] = np.cos(angle) * x - np.sin(angle) * y + bias[0]
-        columns["accel_y_mps2"] = np.sin(angle) * x + np.cos(angle) * y + bias[1]
+        columns |= {"accel_x_mps2": x + excess * np.gradient(rate, step), "accel_y_mps2": y - excess * rate**2}
+        servo.turned(angle)(columns)
+        for name, bias in zip(("accel_x_mps2", "accel_y_mps2"), faults["accelerometer_bias"][0]):
+            columns[name] += bias
         columns["gyro_radps"] = (1.0 + faults["gyro_scale"][0, 0]) * rate + faults["gyro_bias"][0, 0]
         q = columns["q2_rad"]
         sine, cosine = faults["encoder_eccentricity"][1]
@@ -72,8 +70,6 @@ def plant_of(faults: Faults, rng: Generator) -> servo.Plant:
 
 def lab_leg(hidden: str, rng: Generator, folder: Path, times: float = 1.0) -> KnownLeg:
     """A leg whose faults are drawn from `times` the tolerances; nothing else is hidden."""
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    plant = plant_of(drawn(rng, times), rng)
-    runs = (servo.record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    servo.write_case("leg", 0, folder, runs, rng, leg, f"[motor]\ngear_ratio = {servo.GEAR}\n", [], dry)
-    return read_leg(folder / "leg-0", truth_of(replace(leg, coulomb=(0.1 * dry, dry)).beta()))
+    bare = servo.draw(rng)
+    leg = servo.write_plant("leg", 0, folder, plant_of(drawn(rng, times), rng), [], *bare, rng)
+    return read_leg(folder / "leg-0", truth_of(leg.beta()))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from evidence.blind.cases import KNEE_LIMIT, PIVOT_LIMIT, RUNS, SAMPLES, Case, DrawnCase, draw_case, physical, strengths
+from evidence.blind.effects import OUTSIDE
 from evidence.blind.excite import SECONDS
 from evidence.blind.leg import Array, Leg, stack
 from evidence.blind.measure import RATE_HZ, coloured, disturb, read, write_rig, write_run
@@ -198,9 +199,9 @@ def _written(rig: DrawnCase, index: int, motion: Motion, signals: _Signals, meas
     lanes = slice(index * RUNS, (index + 1) * RUNS)
     truth: dict[str, Any] = {
         "name": rig.case.name, "variant": rig.variant, "seed": rig.case.seed, "ratio": ratio,
-        "effects": [{"effect": h.effect, "joint": h.joint, "outside": h.outside,
-                     "size": [asdict(s) for s in h.sizes],
-                     "also": [{"effect": e, "joint": j} for e, j in h.also]} for h in rig.hidden],
+        "effects": [{"effect": name, "joint": h.joint, "outside": name in OUTSIDE,
+                     "size": [asdict(s) for s in h.sizes], "also": [{"effect": e, "joint": j} for e, j in h.also]}
+                    for name, h in zip(rig.case.effects, rig.hidden)],
         "parameters": dict(zip([f"beta{k}" for k in range(1, 10)], map(float, rig.leg.beta()))),
         "sensors": asdict(rig.sensors),
         "largest": {f"q{j}_rad": float(np.abs(q[:, lanes]).max()) for j, q in ((1, motion.q1), (2, motion.q2))}}

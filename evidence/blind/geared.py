@@ -8,17 +8,29 @@ IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
-from evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, is_made, reference, truth_of, write_case
-from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
+from evidence.blind.servo import (
+    GEAR,
+    RATE_HZ,
+    RIG,
+    RUNS,
+    SECONDS,
+    Readings,
+    draw,
+    off_centre,
+    reference,
+    truth_of,
+    turned,
+    write_case,
+)
+from tests.support.mujoco_leg import GRAVITY, Leg
 
 TICK_S, INNER = 1e-3, 40
-RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 SHUNT_NM = 16.0 / 4096
 """Resolution of the shunt [N m]."""
 ROTOR = 3e-4
@@ -142,25 +154,23 @@ def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyp
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
+    """As `servo.make_case`."""
     rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
     leg, dry, runs = record([hidden] * RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
 
 
-def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:
+def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[Readings]]:
     """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `hidden`."""
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
+    leg, dry = draw(rng)
     drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, ROTOR,
                       rng.uniform(0.003, 0.008), rng.uniform(0.01, 0.02)])
     small = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     time = np.arange(round(SECONDS / TICK_S)) * TICK_S
 
-    def logged(run: int, one: Hidden) -> dict[str, np.ndarray]:
+    def logged(run: int, one: Hidden) -> Readings:
         wanted, rate = reference(rng, time, run)
         law = np.array([one.laws.get(k, 0.0) for k in LAWS])
         rows = _move(wanted, rate, leg.beta()[:5], drive, law, phases, rng.normal(size=time.size))
@@ -171,7 +181,7 @@ def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, flo
     return leg, dry, (logged(run, one) for run, one in enumerate(hidden))
 
 
-def as_logged(fine: dict[str, np.ndarray], time: np.ndarray, fault: dict[str, float]) -> dict[str, np.ndarray]:
+def as_logged(fine: Readings, time: np.ndarray, fault: dict[str, float]) -> Readings:
     """Readings at 100 Hz with what a calibrated rig keeps of its `fault`s. The driver knows the lag of the IMU's filter
     (2 ms) and that of the shunt's (0.5 ms), and corrects for both."""
     every = round(1.0 / (RATE_HZ * TICK_S))
@@ -183,11 +193,10 @@ def as_logged(fine: dict[str, np.ndarray], time: np.ndarray, fault: dict[str, fl
     c["tau2_nm"] = np.round((c["tau2_nm"] + fault["torque_offset"]) / SHUNT_NM) * SHUNT_NM
     w = c["gyro_radps"]
     c["gyro_radps"] = w * (1.0 + fault["gyro_scale"]) + fault["gyro_bias"] + fault.get("gyro_cubic", 0.0) * w**3
-    x, y, a = c["accel_x_mps2"] + fault["accel_bias"], c["accel_y_mps2"], fault["tilt"]
-    c["accel_x_mps2"], c["accel_y_mps2"] = np.cos(a) * x - np.sin(a) * y, np.sin(a) * x + np.cos(a) * y
-    q, depth = c["q2_rad"], fault["eccentricity"]
-    c["q2_rad"] = (q + fault["encoder_offset"]
-                   + np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
+    c["accel_x_mps2"] += fault["accel_bias"]
+    turned(fault["tilt"])(c)
+    q = c["q2_rad"]
+    c["q2_rad"] = q + fault["encoder_offset"] + off_centre(q, fault["eccentricity"])
     return {"time_s": grid - grid[0], **c}
 
 

@@ -46,11 +46,11 @@ def stack(legs: list[Leg]) -> Leg:
 
 # Coefficients a lane may carry, zero when absent. Numbers at the end of a name are the joint.
 COEFFICIENTS = (
-    "stribeck1", "stribeck_velocity1", "stribeck2", "stribeck_velocity2",  # N m, rad/s
-    "asymmetry1", "asymmetry2",  # N m more in the positive direction
+    "stribeck2", "stribeck_velocity2",  # N m, rad/s
+    "asymmetry2",  # N m more in the positive direction
     "asymmetric_drag2",  # N m s/rad more in the positive direction
     "load2",  # N m of dry friction per N m transmitted
-    "bristle1", "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
+    "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
     "drag1", "drag2",  # N m s^2/rad^2
     "spring1", "spring2", "spring_rest1", "spring_rest2",  # N m/rad, rad
     "rotor", "gear",  # kg m^2 at the joint; ratio
@@ -72,7 +72,6 @@ class Rows:
     """Where each state sits in the state array."""
 
     motor: int = 0
-    bristle1: int = 0
     bristle2: int = 0
     base: int = 0
     slosh: int = 0
@@ -82,7 +81,7 @@ class Rows:
     @classmethod
     def plan(cls, c: Mapping[str, Array]) -> "Rows":
         rows = cls()
-        for name, key, width in (("motor", "shaft", 2), ("bristle1", "bristle1", 1), ("bristle2", "bristle2", 1),
+        for name, key, width in (("motor", "shaft", 2), ("bristle2", "bristle2", 1),
                                  ("base", "base_mass", 2), ("slosh", "slosh", 2), ("cable", "cable", 1)):
             if c[key].any():
                 setattr(rows, name, rows.count)

@@ -9,19 +9,11 @@ from collections.abc import Callable
 import numpy as np
 
 from evidence.blind import servo
-from evidence.blind.servo import Plant
+from evidence.blind.servo import Plant, Readings, changed
 
 
-def _cubed(columns: dict[str, np.ndarray]) -> None:
-    columns["q2_rad"] = columns["q2_rad"] + 0.04 * columns["q2_rad"] ** 3
-
-
-def _feels_gravity(columns: dict[str, np.ndarray]) -> None:
+def _feels_gravity(columns: Readings) -> None:
     columns["gyro_radps"] = columns["gyro_radps"] + 0.006 * columns["accel_x_mps2"]
-
-
-def _clipped(columns: dict[str, np.ndarray]) -> None:
-    columns["accel_y_mps2"] = np.maximum(columns["accel_y_mps2"], -9.6)
 
 
 def _back_driven(q: np.ndarray, v: np.ndarray, u: float, t: float) -> tuple[float, float]:
@@ -38,8 +30,8 @@ MAKERS: dict[str, Callable[[float], Plant]] = {
     "outside_shaker": lambda s: Plant(law=lambda q, v, u, t: (0.0, 0.1 * s * np.sin(2.0 * np.pi * 4.3 * t))),
     "outside_eddy_brake": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.15 * s * v[1] / (1.0 + (v[1] / 1.5) ** 2))),
     "outside_worm": lambda s: Plant(law=_back_driven),
-    "outside_encoder_cubic": lambda s: Plant(logged=_cubed),
+    "outside_encoder_cubic": lambda s: Plant(logged=changed("q2_rad", lambda q: q + 0.04 * q**3)),
     "outside_gyro_feels_gravity": lambda s: Plant(logged=_feels_gravity),
-    "outside_accelerometer_clips": lambda s: Plant(logged=_clipped),
+    "outside_accelerometer_clips": lambda s: Plant(logged=changed("accel_y_mps2", lambda a: np.maximum(a, -9.6))),
 }
 

@@ -11,7 +11,7 @@ spring, a sloshing inertia, a hysteretic cable. Coefficients of a lane that does
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,7 @@ class Motion:
 
     def pick(self, lanes: NDArray[np.intp]) -> "Motion":
         """Motion of some lanes, without the fast record."""
-        names = ("q1", "q2", "w1", "w2", "a1", "a2", "base_acceleration", "tilt", "encoder")
-        return replace(self, **{name: getattr(self, name)[:, lanes] for name in names},
+        return replace(self, **{f.name: getattr(self, f.name)[:, lanes] for f in fields(self)[:9]},
                        fast_lanes=self.fast_lanes[:0], fast_time=self.fast_time[:0], fast=self.fast[:0])
 
 
@@ -74,27 +73,23 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
         y[:4] = start
         if rows.motor:
             y[rows.motor], y[rows.motor + 1] = start[1], start[3]
-    slope = np.diff(torque, axis=0, append=torque[-1:]) / substeps
-    pivot_slope = None if pivot is None else np.diff(pivot, axis=0, append=pivot[-1:]) / substeps
+    pivot = np.zeros_like(torque) if pivot is None else pivot
+    slope, pivot_slope = (np.diff(x, axis=0, append=x[-1:]) / substeps for x in (torque, pivot))
     begin = np.zeros(lanes) if session is None else np.asarray(session, float)
     friction = DryFriction(leg, c, rows, h, creep, begin)
     fast = np.zeros(0, np.intp) if fast is None else np.asarray(fast)
     out = np.empty((9, count, lanes))
     trace = np.empty((count * substeps, 5, fast.size))
     f = np.zeros((2, lanes))
-    zero = np.zeros(lanes)
     t = 0.0
     for k in range(count):
         for i in range(substeps):
             u0 = torque[k] + slope[k] * i
             u2 = u0 + slope[k]
             um = u0 + 0.5 * slope[k]
-            if pivot is None or pivot_slope is None:
-                p0 = pm = p2 = zero
-            else:
-                p0 = pivot[k] + pivot_slope[k] * i
-                p2 = p0 + pivot_slope[k]
-                pm = p0 + 0.5 * pivot_slope[k]
+            p0 = pivot[k] + pivot_slope[k] * i
+            p2 = p0 + pivot_slope[k]
+            pm = p0 + 0.5 * pivot_slope[k]
             k1 = field(y, t, u0, p0, f)
             if i == 0:
                 out[:4, k] = y[:4]
@@ -116,8 +111,7 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
             y += (h / 6.0) * k2
             t += h
             f = friction(y, t, u2, f, field.inverse)
-    q1, q2, w1, w2, a1, a2, base, tilt, encoder = out
-    return Motion(q1, q2, w1, w2, a1, a2, base, tilt, encoder, fast, np.arange(count * substeps) * h, trace)
+    return Motion(*out, fast, np.arange(count * substeps) * h, trace)
 
 
 class Field:
@@ -140,27 +134,21 @@ class Field:
         self.m22 = self.b2 + c["rotor"]
         self.on = {name: bool(value.any()) for name, value in c.items()}
         self.forces: list[Callable[[Array], tuple[Array | float, Array | float]]] = []
-        for name, law in (("drag", self._drag), ("spring", self._spring), ("bristle", self._bristle)):
-            if self.on[name + "1"] or self.on[name + "2"]:
-                self.forces.append(law)
-        for name, law in (("stop_stiffness", self._stop), ("slosh", self._slosh), ("cable", self._cable),
-                          ("cross_damping", self._cross), ("asymmetric_drag2", self._one_way)):
-            if self.on[name]:
+        for law, *names in ((self._drag, "drag1", "drag2"), (self._spring, "spring1", "spring2"),
+                            (self._bristle, "bristle2"), (self._stop, "stop_stiffness"), (self._slosh, "slosh"),
+                            (self._cable, "cable"), (self._cross, "cross_damping"),
+                            (self._one_way, "asymmetric_drag2")):
+            if any(self.on[name] for name in names):
                 self.forces.append(law)
         self.base_lanes = c["base_mass"] > 0
         mass = c["base_mass"] + leg.m1 + leg.m2
         self.base_inverse = np.where(self.base_lanes, 1.0 / mass, 0.0)
-        self.bristle = [self._bristle_law(j) for j in (1, 2)]
-
-    def _bristle_law(self, joint: int) -> tuple[Array, Array, Array]:
-        """Stiffness, damping and inverse slip of LuGre bristles that carry the joint's Coulomb level."""
-        deflection = self.c[f"bristle{joint}"]
-        has = deflection > 0
-        level = getattr(self.leg, f"coulomb{joint}")
-        stiffness = np.where(has, level / np.where(has, deflection, 1.0), 0.0)
-        inertia = self.b2 if joint == 2 else self.b1
-        damping = 0.6 * np.sqrt(stiffness * inertia * 0.3)
-        return stiffness, damping, np.where(has, 1.0 / np.where(has, deflection, 1.0), 0.0)
+        # LuGre bristles that carry the knee's Coulomb level
+        has = c["bristle2"] > 0
+        deflection = np.where(has, c["bristle2"], 1.0)
+        self.bristle_stiffness = np.where(has, leg.coulomb2 / deflection, 0.0)
+        self.bristle_damping = 0.6 * np.sqrt(self.bristle_stiffness * self.b2 * 0.3)
+        self.bristle_slip = np.where(has, 1.0 / deflection, 0.0)
 
     def _drag(self, y: Array) -> tuple[Array, Array]:
         return -self.c["drag1"] * y[2] * np.abs(y[2]), -self.c["drag2"] * y[3] * np.abs(y[3])
@@ -169,14 +157,12 @@ class Field:
         c = self.c
         return -c["spring1"] * (y[0] - c["spring_rest1"]), -c["spring2"] * (y[1] - c["spring_rest2"])
 
-    def _bristle(self, y: Array) -> tuple[Array | float, Array | float]:
+    def _bristle_rate(self, y: Array) -> Array:
+        return np.asarray(y[3] - np.abs(y[3]) * y[self.rows.bristle2] * self.bristle_slip)
+
+    def _bristle(self, y: Array) -> tuple[float, Array]:
         """LuGre (Canudas de Wit 1995): z' = v - |v| z / z_full, torque = s0 z + s1 z'."""
-        out: list[Array | float] = [0.0, 0.0]
-        for j, row in enumerate((self.rows.bristle1, self.rows.bristle2)):
-            if row:
-                stiffness, damping, slip = self.bristle[j]
-                out[j] = -stiffness * y[row] - damping * (y[2 + j] - np.abs(y[2 + j]) * y[row] * slip)
-        return out[0], out[1]
+        return 0.0, -self.bristle_stiffness * y[self.rows.bristle2] - self.bristle_damping * self._bristle_rate(y)
 
     def _stop(self, y: Array) -> tuple[float, Array]:
         """Hertz-like contact with Hunt-Crossley damping: k d^1.5 (1 + c d')."""
@@ -264,9 +250,8 @@ class Field:
             self.base = (push - u1 * a1 - c12 * a2) * inv
             rates[rows.base] = y[rows.base + 1]
             rates[rows.base + 1] = self.base
-        for j, row in enumerate((rows.bristle1, rows.bristle2)):
-            if row:
-                rates[row] = y[2 + j] - np.abs(y[2 + j]) * y[row] * self.bristle[j][2]
+        if rows.bristle2:
+            rates[rows.bristle2] = self._bristle_rate(y)
         if rows.slosh:
             has = c["slosh"] > 0
             reaction = c["slosh_stiffness"] * y[rows.slosh] + c["slosh_damping"] * y[rows.slosh + 1]

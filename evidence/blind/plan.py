@@ -27,9 +27,7 @@ def bench_case(hidden: str, seed: int) -> Case:
 
 def make_bench(hidden: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
-    case = bench_case(hidden, seed)
-    if not (out / f"{case.name}.truth.json").exists():
-        bench.generate([case], out)
+    bench.generate([bench_case(hidden, seed)], out)
 
 
 @dataclass(frozen=True)
@@ -93,8 +91,9 @@ class PlannedCase:
         return () if self.kind in ("none", "outside") else tuple(self.hidden.split(" ")[-1].split("+"))
 
     def make(self, out: Path) -> None:
-        """Write its files below OUT; nothing where they are."""
-        FAMILIES[self.family].make(self.hidden, self.seed, out)
+        """Write its files below OUT; nothing where they are, whole: its truth is written last."""
+        if not (out / f"{self.name}.truth.json").exists():
+            FAMILIES[self.family].make(self.hidden, self.seed, out)
 
 
 def one_round(number: int, families: Iterable[str], seed: int) -> list[PlannedCase]:

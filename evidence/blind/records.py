@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from evidence.blind.score import PRESENT, Outcome, same
-from evidence.blind.servo import effect, is_made
+from evidence.blind.servo import Readings, effect, off_centre
 from evidence.frame import share, table
 from tests.support.paths import REAL, ROOT
 
@@ -22,7 +22,6 @@ RIGS = ROOT / "studies/rigs"
 UNTOUCHED = "untouched"
 COMMANDS = {"goal_rad": "q1_cmd_rad"}
 """Column of a record to that of the contract."""
-Readings = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -49,18 +48,19 @@ class Fault:
     put_in: Callable[[Sequence[Readings], Record, float], None]
 
 
-def _each(of_run: Callable[[Readings, Record, float], None]) -> Callable[[Sequence[Readings], Record, float], None]:
-    """The fault of one run in each of several."""
+def _angle(law: Callable[[np.ndarray, float], np.ndarray]) -> Callable[[Sequence[Readings], Record, float], None]:
+    """A fault of the angle in each run."""
     def put_in(runs: Sequence[Readings], record: Record, size: float) -> None:
         for c in runs:
-            of_run(c, record, size)
+            c[record.angle] = law(c[record.angle], size)
 
     return put_in
 
 
-def _late(c: Readings, record: Record, size: float) -> None:
-    for name in record.torque:
-        c[name] = np.interp(c["time_s"] - size, c["time_s"], c[name])
+def _late(runs: Sequence[Readings], record: Record, size: float) -> None:
+    for c in runs:
+        for name in record.torque:
+            c[name] = np.interp(c["time_s"] - size, c["time_s"], c[name])
 
 
 def _saturated(runs: Sequence[Readings], record: Record, size: float) -> None:
@@ -72,23 +72,10 @@ def _saturated(runs: Sequence[Readings], record: Record, size: float) -> None:
             c[name] = c[name] * (1.0 + size * (c[name] / most) ** 4)
 
 
-def _offset(c: Readings, record: Record, size: float) -> None:
-    c[record.angle] = c[record.angle] + size
-
-
-def _scaled(c: Readings, record: Record, size: float) -> None:
-    c[record.angle] = c[record.angle] * (1.0 + size)
-
-
-def _eccentric(c: Readings, record: Record, size: float) -> None:
-    q = c[record.angle]
-    c[record.angle] = q + np.arctan2(size * np.sin(q - 0.7), 1.0 + size * np.cos(q - 0.7))
-
-
-FAULTS = {"torque_delay": Fault("delay", False, _each(_late)), "torque_saturation": Fault("", False, _saturated),
-          "encoder_offset": Fault("offset", True, _each(_offset)),
-          "encoder_scale": Fault("scale_error", True, _each(_scaled)),
-          "encoder_eccentricity": Fault("", True, _each(_eccentric))}
+FAULTS = {"torque_delay": Fault("delay", False, _late), "torque_saturation": Fault("", False, _saturated),
+          "encoder_offset": Fault("offset", True, _angle(lambda q, size: q + size)),
+          "encoder_scale": Fault("scale_error", True, _angle(lambda q, size: q * (1.0 + size))),
+          "encoder_eccentricity": Fault("", True, _angle(lambda q, size: q + off_centre(q, size)))}
 ARM = {"torque_delay": 0.02, "torque_saturation": 0.3, "encoder_offset": 0.15, "encoder_scale": 0.08,
        "encoder_eccentricity": 0.12}
 RECORDS = {
@@ -107,9 +94,7 @@ NAMES = tuple(f"{record}.{fault}" for record, r in RECORDS.items() for fault in 
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
+    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it."""
     key, fault = name.split(".")
     record = RECORDS[key]
     size = record.sizes.get(fault, 0.0) * np.random.default_rng([sum(map(ord, name)), seed, 5]).uniform(0.7, 1.3)

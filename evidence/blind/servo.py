@@ -19,6 +19,7 @@ from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
 TICK_S, STEP_S, RATE_HZ, SECONDS, RUNS = 1e-3, 2.5e-4, 100.0, 20.0, 8
 GEAR = 50.0
+RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 COUNTS = 8192
 COLUMNS = ("time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2")
 NOISE = {"gyro_radps": 0.004, "accel_x_mps2": 0.04, "accel_y_mps2": 0.04, "tau2_nm": 0.01}
@@ -46,6 +47,9 @@ XML = """
   <sensor><accelerometer site="imu"/><gyro site="imu"/></sensor>
 </mujoco>
 """
+Readings = dict[str, np.ndarray]
+"""Columns as the sensors would read them."""
+Change = Callable[[Readings], None]
 Law = Callable[[np.ndarray, np.ndarray, float, float], tuple[float, float]]
 """(q, v, commanded torque, session time) -> torques that act beside MuJoCo's own on pivot and knee [N m]."""
 
@@ -60,7 +64,7 @@ class Plant:
     base_n_per_m: float = 0.0
     friction_now: Callable[[float], float] = lambda t: 1.0
     law: Law = lambda q, v, u, t: (0.0, 0.0)
-    logged: Callable[[dict[str, np.ndarray]], None] = lambda columns: None
+    logged: Change = lambda columns: None
     late_s: dict[str, float] = field(default_factory=dict)
 
 
@@ -91,25 +95,24 @@ def _sign(v: float, scale: float = 0.01) -> float:
     return float(np.clip(v / scale, -1.0, 1.0))
 
 
-def _scaled(name: str, factor: float, offset: float = 0.0) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        columns[name] = columns[name] * factor + offset
+def changed(name: str, law: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def change(columns: Readings) -> None:
+        columns[name] = law(columns[name])
     return change
 
 
-def _tilted(angle: float) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        x, y = columns["accel_x_mps2"].copy(), columns["accel_y_mps2"].copy()
+def turned(angle: float) -> Change:
+    """An accelerometer that is mounted askew."""
+    def change(columns: Readings) -> None:
+        x, y = columns["accel_x_mps2"], columns["accel_y_mps2"]
         columns["accel_x_mps2"], columns["accel_y_mps2"] = (np.cos(angle) * x - np.sin(angle) * y,
                                                             np.sin(angle) * x + np.cos(angle) * y)
     return change
 
 
-def _disc(depth: float) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        q = columns["q2_rad"]
-        columns["q2_rad"] = q + np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7))
-    return change
+def off_centre(q: np.ndarray, depth: float) -> np.ndarray:
+    """Error of an angle [rad] from a disc off centre by `depth` radii, read by one head."""
+    return np.asarray(np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
 
 
 MAKERS: dict[str, Callable[[float], Plant]] = {
@@ -124,19 +127,19 @@ MAKERS: dict[str, Callable[[float], Plant]] = {
         law=lambda q, v, u, t: (0.0, -0.12 * s * abs(u) * _sign(v[1]))),
     "torque_ripple": lambda s: Plant(
         law=lambda q, v, u, t: (0.0, 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1])))),
-    "torque_offset": lambda s: Plant(logged=_scaled("tau2_nm", 1.0, 0.06 * s)),
+    "torque_offset": lambda s: Plant(logged=changed("tau2_nm", lambda u: u + 0.06 * s)),
     "torque_saturation": lambda s: Plant(
         law=lambda q, v, u, t: (0.0, u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u)),
     "torque_delay": lambda s: Plant(late_s={"tau2_nm": 0.006 * s}),
     "sensor_time_skew": lambda s: Plant(
         late_s={k: 0.004 * s for k in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")}),
-    "gyro_bias": lambda s: Plant(logged=_scaled("gyro_radps", 1.0, 0.03 * s)),
-    "gyro_scale": lambda s: Plant(logged=_scaled("gyro_radps", 1.0 + 0.03 * s)),
-    "accelerometer_bias": lambda s: Plant(logged=_scaled("accel_x_mps2", 1.0, 0.25 * s)),
-    "imu_misalignment": lambda s: Plant(logged=_tilted(0.03 * s)),
-    "encoder_offset": lambda s: Plant(logged=_scaled("q2_rad", 1.0, 0.03 * s)),
-    "encoder_scale": lambda s: Plant(logged=_scaled("q2_rad", 1.0 + 0.03 * s)),
-    "encoder_eccentricity": lambda s: Plant(logged=_disc(0.04 * s)),
+    "gyro_bias": lambda s: Plant(logged=changed("gyro_radps", lambda w: w + 0.03 * s)),
+    "gyro_scale": lambda s: Plant(logged=changed("gyro_radps", lambda w: w * (1.0 + 0.03 * s))),
+    "accelerometer_bias": lambda s: Plant(logged=changed("accel_x_mps2", lambda a: a + 0.25 * s)),
+    "imu_misalignment": lambda s: Plant(logged=turned(0.03 * s)),
+    "encoder_offset": lambda s: Plant(logged=changed("q2_rad", lambda q: q + 0.03 * s)),
+    "encoder_scale": lambda s: Plant(logged=changed("q2_rad", lambda q: q * (1.0 + 0.03 * s))),
+    "encoder_eccentricity": lambda s: Plant(logged=changed("q2_rad", lambda q: q + off_centre(q, 0.04 * s))),
     "end_stop_contact": lambda s: Plant(limit=0.75 / s),
     "friction_drift": lambda s: Plant(friction_now=lambda t: 1.0 + 1.5 * s * np.exp(-t / 70.0)),
     "base_compliance": lambda s: Plant(base_n_per_m=6000.0 / s),
@@ -211,21 +214,23 @@ def record(leg: Leg, plant: Plant, dry: float, rng: Generator, run: int, session
 
 def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
               makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
+    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it."""
     rng = default_rng([sum(map(ord, name)), seed])
     strength *= rng.uniform(0.85, 1.15)
-    plant = makers[name](strength)
-    leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
-    dry = rng.uniform(0.02, 0.08)
+    write_plant(name, seed, out, makers[name](strength), truth_of(name, strength), *draw(rng), rng)
+
+
+def draw(rng: np.random.Generator) -> tuple[Leg, float]:
+    """A leg, and the dry friction of its knee [N m]."""
+    return replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
+
+
+def write_plant(name: str, seed: int, out: Path, plant: Plant, hidden: Sequence[dict[str, Any]], leg: Leg, dry: float,
+                rng: np.random.Generator) -> Leg:
+    """Record and write the runs of a plant; the leg with its friction."""
     runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", truth_of(name, strength), dry)
-
-
-def is_made(name: str, seed: int, out: Path) -> bool:
-    """Whether a case is there, whole: its truth is written last."""
-    return (out / f"{name}-{seed}.truth.json").exists()
+    write_case(name, seed, out, runs, rng, leg, RIG, hidden, dry)
+    return replace(leg, coulomb=(0.1 * dry, dry))
 
 
 def counted(q: np.ndarray) -> np.ndarray:
