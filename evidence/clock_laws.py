@@ -85,12 +85,11 @@ def simulate(law: Law, rng: Generator, start_s: float = 0.0, end_s: float = SECO
         way += np.where(rng.random(sent.size) < STALLS, rng.uniform(0, LONGEST_STALL_S, sent.size), 0.0)
     arrived = sent + down
     left = arrived + TURNAROUND_S
-    back = left + up
     probes = np.zeros(sent.size, CLOCK.dtype)
-    probes["host_tx_ns"] = EPOCH + np.rint(sent * 1e9)
-    probes["host_rx_ns"] = EPOCH + np.rint(back * 1e9)
-    probes["rx_tick_us"] = clock.tick_us(arrived) % 2**32
-    probes["tx_tick_us"] = clock.tick_us(left) % 2**32
+    for field, at_s in (("host_tx_ns", sent), ("host_rx_ns", left + up)):
+        probes[field] = EPOCH + np.rint(at_s * 1e9)
+    for field, at_s in (("rx_tick_us", arrived), ("tx_tick_us", left)):
+        probes[field] = clock.tick_us(at_s) % 2**32
     fit = fit_ticks(probes, EPOCH)
     t = np.arange(sent[0], sent[-1], 0.5)
     late = rng.uniform(0, LONGEST_STALL_S, t.size)  # telemetry is stamped when it arrives, which may be late

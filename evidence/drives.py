@@ -80,17 +80,17 @@ def fuzz(frames: int) -> dict[str, tuple[float, int, int, float]]:
         began = time.monotonic()
         for _ in range(frames):
             hear._ask = lambda: None
-            frame = good[int(rng.integers(len(good)))]
+            frame = good[rng.integers(len(good))]
             data = bytearray(frame.data)
-            how = int(rng.integers(4))
+            how = rng.integers(4)
             if how == 0 and data:
-                data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+                data[rng.integers(len(data))] ^= 1 << rng.integers(8)
             elif how == 1:
-                data = data[:int(rng.integers(len(data) + 1))]
+                data = data[:rng.integers(len(data) + 1)]
             elif how == 2:
-                data = bytearray(rng.bytes(int(rng.integers(65))))
+                data = bytearray(rng.bytes(rng.integers(65)))
             else:
-                data += rng.bytes(int(rng.integers(16)))
+                data += rng.bytes(rng.integers(16))
             hear._found = {}
             hear._hear((frame._replace(data=bytes(data[:64])),))
         counted = bench.drive.stats.bad_crc + bench.drive.stats.unknown
@@ -99,8 +99,8 @@ def fuzz(frames: int) -> dict[str, tuple[float, int, int, float]]:
     line = b"rcv 100 " + padded(bytes(40), 0x50).hex().encode() + b" E B F\r\n"
     for _ in range(frames):
         broken = bytearray(line)
-        for at in rng.integers(0, len(broken), int(rng.integers(1, 4))):
-            broken[int(at)] = int(rng.integers(256))
+        for at in rng.integers(0, len(broken), rng.integers(1, 4)):
+            broken[int(at)] = rng.integers(256)
         codec.feed(bytes(broken))
     out["fdcanusb line"] = time.monotonic() - began, frames, codec.bad, 0
     packets = fuzz_dynamixel(2 * frames, 1)

@@ -58,22 +58,16 @@ def old_echo(bench: FaultBench) -> None:
     bench.firmware.says = lie
 
 
-def mirrored(bench: FaultBench) -> None:
-    then: list[float] = []
+def knee_turns(times: float) -> Fault:
+    """From where it is now the knee's angle changes by so many times what is true."""
+    def strike(bench: FaultBench) -> None:
+        then: list[float] = []
 
-    def lie(truth: Telemetry) -> Telemetry:
-        then.append(truth.knee_rad)
-        return replace(truth, knee_rad=2 * then[0] - truth.knee_rad)
-    bench.firmware.says = lie
-
-
-def scaled(bench: FaultBench) -> None:
-    then: list[float] = []
-
-    def lie(truth: Telemetry) -> Telemetry:
-        then.append(truth.knee_rad)
-        return replace(truth, knee_rad=then[0] + 2 * (truth.knee_rad - then[0]))
-    bench.firmware.says = lie
+        def lie(truth: Telemetry) -> Telemetry:
+            then.append(truth.knee_rad)
+            return replace(truth, knee_rad=then[0] + times * (truth.knee_rad - then[0]))
+        bench.firmware.says = lie
+    return strike
 
 
 def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
@@ -156,8 +150,8 @@ FAULTS: dict[str, Fault] = {
     "telemetry is 300 ms old": late(150),
     "knee encoder stuck": says(knee_rad=None),
     "knee encoder invalid": says(knee_rad=NAN),
-    "knee encoder mirrored": mirrored,
-    "knee encoder counts double": scaled,
+    "knee encoder mirrored": knee_turns(-1.0),
+    "knee encoder counts double": knee_turns(2.0),
     "knee encoder jumps by 3 rad": says(knee_rad=lambda q: q + 3.0),
     "knee Hall angle stuck": says(knee_hall_rad=None),
     "pivot Hall angle stuck": says(pivot_hall_rad=None),

@@ -63,8 +63,8 @@ def message(rng: Generator, k: int) -> Message:
 def noise(rng: Generator) -> bytes:
     """A frame of random bytes; half of them whole COBS frames of a known type and length, all but the check sum."""
     if rng.random() < 0.5:
-        return rng.bytes(int(rng.integers(1, 90))) + b"\0"
-    kind, size = [(0x81, 33), (0x82, 18), (0x83, 10), (0x84, 12)][int(rng.integers(4))]
+        return rng.bytes(rng.integers(1, 90)) + b"\0"
+    kind, size = [(0x81, 33), (0x82, 18), (0x83, 10), (0x84, 12)][rng.integers(4)]
     payload = bytes([kind]) + rng.bytes(size) + rng.bytes(2)
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
 
@@ -84,7 +84,7 @@ def _stream(frames: int, rng: Generator, started: float, decoder: Any, noise: Ca
             parts = wire.pass_on(encoded(recent[-1]))
             broken += sum(wire.injected.values()) - before
         stream = b"".join(parts)
-        cut = int(rng.integers(0, len(stream) + 1))
+        cut = rng.integers(0, len(stream) + 1)
         for chunk in (stream[:cut], stream[cut:]):
             for got in decoder.feed(chunk):
                 delivered += 1
@@ -127,7 +127,7 @@ def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
 
     def broken() -> bytes:
         start = dynamixel.HEADER if rng.random() < 0.5 else b""
-        return start + rng.bytes(int(rng.integers(1, 90)))
+        return start + rng.bytes(rng.integers(1, 90))
 
     return _stream(frames, rng, started, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
         k % 253, dynamixel.Instruction.STATUS, 0, rng.bytes(k % 90)),

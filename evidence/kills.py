@@ -60,13 +60,18 @@ class Killed(NamedTuple):
     fault: str = ""
 
 
+def command_of(rig: Path, out: Path) -> list[str]:
+    """A recording by the plan beside the rig file."""
+    return ["record", "--rig", str(rig), "--plan", str(rig.with_name("plan.csv")), "--out", str(out)]
+
+
 def kill_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, kill at a moment drawn from seed and number, look at what is left."""
     path, said, counts = _files(folder, "kill_one", number)
     rng = np.random.default_rng((seed, number))
     unlatch(rig)
-    pid = start(["record", "--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(path)], said, counts)
-    time.sleep(float(rng.uniform(0.0, WHOLE_S)))
+    pid = start(command_of(rig, path), said, counts)
+    time.sleep(rng.uniform(0.0, WHOLE_S))
     os.kill(pid, signal.SIGKILL)  # one that has ended is a zombie still
     status = ended(pid)
     given, handed = COUNTS.unpack_from(counts)
@@ -113,19 +118,17 @@ def disturb_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, and let a second process at the same devices or file meanwhile."""
     path, said, counts = _files(folder, "disturb_one", number)
     rng = np.random.default_rng((seed, number))
-    plan = str(folder / "plan.csv")
     unlatch(rig)
     other, heard = path.with_suffix(".other.mcap"), path.with_suffix(".heard.txt")
-    refused = [["record", "--rig", str(rig), "--plan", plan, "--out", str(other)],
-               ["record", "--rig", str(rig), "--plan", plan, "--out", str(path)], ["doctor", "--rig", str(rig)],
+    refused = [command_of(rig, other), command_of(rig, path), ["doctor", "--rig", str(rig)],
                ["calibrate", "imu", "--rig", str(rig)]]
     harmless = [["info", str(path)], ["recover", str(path), "--out", str(other)], ["fit", str(path)]]
-    pid = start(["record", "--rig", str(rig), "--plan", plan, "--out", str(path)], said, counts)
+    pid = start(command_of(rig, path), said, counts)
     deadline = time.monotonic() + PATIENCE_S
     while not COUNTS.unpack_from(counts)[0] and time.monotonic() < deadline:
         time.sleep(0.005)
-    time.sleep(float(rng.uniform(0.0, 1.5)))
-    command = [*refused, *harmless, [STRANGER]][int(rng.integers(len(refused + harmless) + 1))]
+    time.sleep(rng.uniform(0.0, 1.5))
+    command = [*refused, *harmless, [STRANGER]][rng.integers(len(refused + harmless) + 1)]
     if command == [STRANGER]:
         return _shared(pid, take(rig, seed + number, heard), path, said, heard)
     second = start(command, heard)
@@ -198,9 +201,8 @@ def ready(folder: Path) -> Iterator[Path]:
         text = re.sub(r"^(staleness_s|clock_bound_s) = .*\n", "", rig.read_text(), flags=re.MULTILINE)
         rig.write_text(text.replace("[limits]\n", PATIENT).replace("watchdog_ms = 500", "watchdog_ms = 1000"))
         write_plan(sine(PLAN_S, 0.3), folder / "plan.csv")
-        first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
         with heard():
-            legid(["record", *first])  # loads once what every fork would load
+            legid(command_of(rig, folder / "first.mcap"))  # loads once what every fork would load
         yield rig
 
 

@@ -78,7 +78,7 @@ def press_once(browser: Browser, line: Connection, rng: np.random.Generator, by_
     """Start, wait until the motor is driven, press at a random time, release."""
     browser.click("start")
     browser.phase("Recording")
-    time.sleep(float(rng.uniform(2.2, 5.0)))
+    time.sleep(rng.uniform(2.2, 5.0))
     while True:
         pressed_ns = time.monotonic_ns()
         line.send(pressed_ns)

@@ -82,40 +82,44 @@ def leg_run(seed: int, number: int = 0) -> Dataset:
     return record(leg, rng, tau=multisine(rng, np.arange(2000) / 100.0, 1.2), name=f"run{number}")
 
 
-def wrapped(run: Dataset, rng: Generator, zero: float = 0.5) -> tuple[str, FloatArray]:
+Spoilt = tuple[str, FloatArray]
+"""A column's name and its values with a fault."""
+
+
+def wrapped(run: Dataset, rng: Generator, zero: float = 0.5) -> Spoilt:
     q = run["q2_rad"] + rng.uniform(-zero, zero)
-    low = float(rng.uniform(*np.quantile(q, (0.05, 0.95))))
+    low = rng.uniform(*np.quantile(q, (0.05, 0.95)))
     return "q2_rad", low + (q - low) % (2.0 * np.pi)
 
 
-def isolated(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
+def isolated(run: Dataset, rng: Generator) -> Spoilt:
     q = run["q2_rad"].copy()
     q[rng.integers(50, q.size - 50)] += rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 4.0)
     return "q2_rad", q
 
 
-def stepped(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
+def stepped(run: Dataset, rng: Generator) -> Spoilt:
     q = run["q2_rad"].copy()
-    q[int(rng.integers(300, q.size - 300)):] += rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.5)
+    q[rng.integers(300, q.size - 300):] += rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.5)
     return "q2_rad", q
 
 
-def clipped(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
-    return "tau2_nm", cut_off(run["tau2_nm"], float(rng.uniform(0.03, 0.3)), "both sides")
+def clipped(run: Dataset, rng: Generator) -> Spoilt:
+    return "tau2_nm", cut_off(run["tau2_nm"], rng.uniform(0.03, 0.3), "both sides")
 
 
-def frozen(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
-    gyro, first = run["gyro_radps"].copy(), int(rng.integers(100, len(run) - 100))
-    gyro[first:first + int(rng.integers(15, 40))] = gyro[first]
+def frozen(run: Dataset, rng: Generator) -> Spoilt:
+    gyro, first = run["gyro_radps"].copy(), rng.integers(100, len(run) - 100)
+    gyro[first:first + rng.integers(15, 40)] = gyro[first]
     return "gyro_radps", gyro
 
 
-def repeated(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
-    times = int(rng.integers(2, 5))
+def repeated(run: Dataset, rng: Generator) -> Spoilt:
+    times = rng.integers(2, 5)
     return "q1_rad", run["q1_rad"][::times].repeat(times)[:len(run)]
 
 
-Kind = Callable[[Dataset, Generator], tuple[str, FloatArray]]
+Kind = Callable[[Dataset, Generator], Spoilt]
 KINDS: dict[str, Kind] = {
     "wrapped": wrapped, "isolated": isolated, "stepped": stepped, "clipped": clipped, "frozen": frozen,
     "repeated": repeated}
@@ -141,16 +145,16 @@ def named(seed: int, kinds: Sequence[str]) -> tuple[list[str], list[str]]:
     return sorted(kinds), sorted(faults)
 
 
-def lost(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
-    row, count, x = int(rng.integers(500, 1500)), int(rng.integers(2, 7)), run["tau2_nm"]
+def lost(run: Dataset, rng: Generator) -> Spoilt:
+    row, count, x = rng.integers(500, 1500), rng.integers(2, 7), run["tau2_nm"]
     return "tau2_nm", np.concatenate([x[:row], x[row + count:], np.full(count, x[-1])])
 
 
-def turned(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
+def turned(run: Dataset, rng: Generator) -> Spoilt:
     return wrapped(run, rng, 0.0)
 
 
-def slow_knee(run: Dataset, rng: Generator) -> tuple[str, FloatArray]:
+def slow_knee(run: Dataset, rng: Generator) -> Spoilt:
     return "q2_rad", run["q2_rad"][::2].repeat(2)[:len(run)]
 
 
@@ -160,14 +164,11 @@ FITTED = {**KINDS, "wrapped": turned, "repeated": slow_knee, "lost": lost}
 
 @kept
 def fit_pair(seed: int, kinds: tuple[str, str]) -> "Fit":
-    """A fit of two runs of one leg with two kinds of faults in each, read as files are."""
-    runs = []
-    for number in (1, 2):
-        run, rng = leg_run(seed, number), default_rng([seed, number, *map(list(FITTED).index, kinds)])
-        columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        spoil(run, rng, kinds, FITTED, columns)
-        runs.append(RawTable(run.name, run.time_s, columns))
-    return _fit(seed, runs)
+    """A fit of two runs of one leg with two kinds of faults in each."""
+    def put_in(number: int, run: Dataset, columns: dict[str, FloatArray]) -> None:
+        spoil(run, default_rng([seed, number, *map(list(FITTED).index, kinds)]), kinds, FITTED, columns)
+
+    return _fit(seed, put_in)
 
 
 def cut_off(torque: FloatArray, share: float, sides: str) -> FloatArray:
@@ -205,18 +206,22 @@ class Fit(NamedTuple):
 
 @kept
 def fit_clipped(seed: int, share: float, sides: str) -> Fit:
-    """A fit of two runs, read as files are."""
-    runs = []
+    """A fit of two runs."""
+    def put_in(number: int, run: Dataset, columns: dict[str, FloatArray]) -> None:
+        if share:
+            columns["tau2_nm"] = cut_off(run["tau2_nm"], share, sides)
+
+    return _fit(seed, put_in)
+
+
+def _fit(seed: int, put_in: Callable[[int, Dataset, dict[str, FloatArray]], None]) -> Fit:
+    """Of two runs of a leg, read as files are, after `put_in` has changed their columns."""
+    truth, tables = random_leg(default_rng(seed)).beta()[:JUDGED], []
     for number in (1, 2):
         run = leg_run(seed, number)
         columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        columns["tau2_nm"] = cut_off(run["tau2_nm"], share, sides) if share else run["tau2_nm"]
-        runs.append(RawTable(run.name, run.time_s, columns))
-    return _fit(seed, runs)
-
-
-def _fit(seed: int, tables: Sequence[RawTable]) -> Fit:
-    truth = random_leg(default_rng(seed)).beta()[:JUDGED]
+        put_in(number, run, columns)
+        tables.append(RawTable(run.name, run.time_s, columns))
     try:
         result = fit_runs([align_table(table, 100.0) for table in tables], parse_rig(RIG)).result
     except (FitError, InputError) as error:
@@ -268,8 +273,8 @@ def _named(seed: int) -> Iterator[str]:
     for kinds in (*((kind,) for kind in KINDS), *combinations(KINDS, 2)):
         found = [named(seed + k, kinds) for k in range(NAMED_LEGS)]
         good = sum(put == told for put, told in found)
-        rows.append((" and ".join(kinds), f"{good} of {NAMED_LEGS}",
-                     "; ".join(sorted({", ".join(told) or "none" for put, told in found if put != told}))))
+        instead = sorted({", ".join(told) or "none" for put, told in found if put != told})
+        rows.append(f"{' and '.join(kinds)} | {good} of {NAMED_LEGS} | {'; '.join(instead)}")
         right += good
     yield from ["## Faults put in, one and two at a time", "In runs of 20 s at 100 Hz of legs simulated by MuJoCo. "
                 "An angle wraps by a turn, is off by 1 to 4 rad in one reading, or steps by 0.8 to 1.5 rad. A torque "

@@ -128,7 +128,7 @@ def put(kind: Format, seed: int, number: int, path: Path) -> None:
     """Write the file of a number."""
     rng = np.random.default_rng((seed, number))
     if kind.make is None or number % 2:
-        path.write_bytes(broken(kind.whole[int(rng.integers(len(kind.whole)))], rng))
+        path.write_bytes(broken(kind.whole[rng.integers(len(kind.whole))], rng))
     else:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -138,20 +138,20 @@ def put(kind: Format, seed: int, number: int, path: Path) -> None:
 def broken(whole: bytes, rng: np.random.Generator) -> bytes:
     """`whole` with one fault, or with up to four."""
     data = bytearray(whole)
-    for _ in range(1 if rng.random() < 0.6 else int(rng.integers(2, 5))):
+    for _ in range(1 if rng.random() < 0.6 else rng.integers(2, 5)):
         if not data:
             break
-        a = int(rng.integers(len(data)))
+        a = rng.integers(len(data))
         b = min(len(data), a + int(2 ** rng.uniform(0, 10)))
-        match int(rng.integers(9)):
+        match rng.integers(9):
             case 0:
-                data[a] ^= 1 << int(rng.integers(8))
+                data[a] ^= 1 << rng.integers(8)
             case 1:
                 data[a:b] = rng.bytes(b - a)
             case 2:
                 del data[a:b]
             case 3:
-                data[b:b] = data[a:b] * int(rng.integers(1, 4))
+                data[b:b] = data[a:b] * rng.integers(1, 4)
             case 4:
                 del data[a:]
             case 5:  # a field of a length or a count
@@ -159,12 +159,12 @@ def broken(whole: bytes, rng: np.random.Generator) -> bytes:
             case 6:  # a number in a text
                 found = list(re.finditer(rb"-?\d[\d.eE+-]*", bytes(data[a: a + 400])))
                 if found:
-                    hit = found[int(rng.integers(len(found)))]
-                    data[a + hit.start(): a + hit.end()] = NUMBERS[int(rng.integers(len(NUMBERS)))]
+                    hit = found[rng.integers(len(found))]
+                    data[a + hit.start(): a + hit.end()] = NUMBERS[rng.integers(len(NUMBERS))]
             case 7:
-                data[a:a] = BRACKETS[int(rng.integers(len(BRACKETS)))] * int(2 ** rng.uniform(0, 17))
+                data[a:a] = BRACKETS[rng.integers(len(BRACKETS))] * int(2 ** rng.uniform(0, 17))
             case 8:
-                other = int(rng.integers(len(data)))
+                other = rng.integers(len(data))
                 data[a:b], data[other: other + b - a] = data[other: other + b - a], data[a:b]
     return bytes(data)
 
@@ -207,9 +207,10 @@ def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = m
     every = sum(map(len, faults.values()))
     yield "# Broken files through every reader"
     yield table("format | files | read | refused | stopped | faults | slowest | files a second", (
-        (NAMES.get(name, name), *(f"{one[key]:,}" for key in ("files", "read", "refused", "stopped")),
-         len(faults[name]), f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms",
-         f"{one['files'] / max(took_s[name], 1e-9):.0f}") for name, one in counts.items()))
+        f"{NAMES.get(name, name)} | {one['files']:,} | {one['read']:,} | {one['refused']:,} | {one['stopped']:,} | "
+        f"{len(faults[name])} | "
+        + (f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms")
+        + f" | {one['files'] / max(took_s[name], 1e-9):.0f}" for name, one in counts.items()))
     yield (f"These {sum(one['files'] for one in counts.values()):,} files have {every} faults. They took "
            f"{sum(took_s.values()) / 60:.0f} minutes of a processor, and at most {peak:.0f} MB in a process that "
            "reads.")

@@ -29,10 +29,15 @@ NAMES = ("t", "time", "q1", "q2", "log", "", "a.b", "a/b", "#refs#", "__x", "\n[
 NUMBERS = (0, -1, 1, 2**31, 2**63 - 1, 10**30, 0.0, -0.0, 1e308, 1e-320, float("nan"), float("inf"))
 
 
+def some(rng: Generator, most: float, least: float = 0) -> int:
+    """A count from 2^least to 2^most, evenly by its logarithm."""
+    return int(2 ** rng.uniform(least, most))
+
+
 def array(rng: Generator) -> np.ndarray:
     """Of any type and shape, empty ones too; one of 500 is large."""
     most = 7 if rng.random() < 0.002 else 3
-    shape = tuple(int(2 ** rng.uniform(0, most)) if rng.random() < 0.9 else 0 for _ in range(int(rng.integers(0, 4))))
+    shape = tuple(some(rng, most) if rng.random() < 0.9 else 0 for _ in range(rng.integers(0, 4)))
     kind = str(rng.choice(TYPES))
     values = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
     with np.errstate(all="ignore"):
@@ -41,8 +46,8 @@ def array(rng: Generator) -> np.ndarray:
 
 def tree(rng: Generator, depth: int = 0) -> Any:
     """Mappings, lists, arrays, texts and numbers within each other."""
-    kind = int(rng.integers(7)) if depth < 6 else 6
-    count = int(2 ** rng.uniform(0, 3 if depth else 4))
+    kind = rng.integers(7) if depth < 6 else 6
+    count = some(rng, 3 if depth else 4)
     if kind < 2:
         return {str(rng.choice(NAMES)): tree(rng, depth + 1) for _ in range(count)}
     if kind == 2:
@@ -51,13 +56,13 @@ def tree(rng: Generator, depth: int = 0) -> Any:
         return [{str(name): float(rng.choice([0.1, 1e308])) for name in rng.choice(NAMES, 3)} for _ in range(count * 3)]
     if kind < 6:
         return array(rng)
-    return [None, "text", *NUMBERS][int(rng.integers(len(NUMBERS) + 2))]
+    return [None, "text", *NUMBERS][rng.integers(len(NUMBERS) + 2)]
 
 
 def named(rng: Generator) -> dict[str, Any]:
     """Trees, with two columns of numbers."""
     t = np.arange(60.0)
-    return {f"v{k}": tree(rng) for k in range(int(rng.integers(1, 5)))} | {"t": t, "q2": np.sin(t)}
+    return {f"v{k}": tree(rng) for k in range(rng.integers(1, 5))} | {"t": t, "q2": np.sin(t)}
 
 
 def make_json(rng: Generator, path: Path) -> None:
@@ -67,7 +72,7 @@ def make_json(rng: Generator, path: Path) -> None:
 
 def make_npz(rng: Generator, path: Path) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if rng.random() < 0.5 else zipfile.ZIP_STORED) as archive:
-        for k in range(int(rng.integers(1, 6))):
+        for k in range(rng.integers(1, 6)):
             data = io.BytesIO()
             np.lib.format.write_array(data, array(rng), allow_pickle=False)
             archive.writestr(str(rng.choice(NAMES)) + f"{k}.npy", data.getvalue())
@@ -87,20 +92,20 @@ def make_hdf5(rng: Generator, path: Path) -> None:
     import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
     with h5py.File(path, "w") as file:
         groups = [file]
-        for k in range(int(rng.integers(1, 12))):
-            group, name = groups[int(rng.integers(len(groups)))], f"n{k}"
-            match int(rng.integers(8)):
+        for k in range(rng.integers(1, 12)):
+            group, name = groups[rng.integers(len(groups))], f"n{k}"
+            match rng.integers(8):
                 case 0 | 1:
                     groups.append(group.create_group(name))
                 case 2:
-                    group[name] = groups[int(rng.integers(len(groups)))]  # circles, too
+                    group[name] = groups[rng.integers(len(groups))]  # circles, too
                 case 3:
                     group[name] = h5py.SoftLink(str(rng.choice(["/", "/n0", "..", "/nothing", "."])))
                 case 4:
                     group[name] = h5py.ExternalLink(str(rng.choice(["other.h5", "/etc/passwd", path.name])), "/n0")
                 case 5:
                     most = 40 if rng.random() < 0.1 else 16
-                    group.create_dataset(name, (int(2 ** rng.uniform(0, most)),), "f8", chunks=(1024,),
+                    group.create_dataset(name, (some(rng, most),), "f8", chunks=(1024,),
                                          maxshape=(None,))
                 case _:
                     values = array(rng)
@@ -110,9 +115,9 @@ def make_hdf5(rng: Generator, path: Path) -> None:
 def make_parquet(rng: Generator, path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
-    n = int(2 ** rng.uniform(0, 10))
+    n = some(rng, 10)
     columns = {}
-    for k in range(int(rng.integers(1, 8))):
+    for k in range(rng.integers(1, 8)):
         values = np.resize(array(rng).ravel(), n) if rng.random() < 0.8 else np.zeros(n)
         plain = values.real.astype("f8") if values.dtype.kind == "c" else values.tolist()
         columns[str(rng.choice(NAMES)) + str(k)] = pa.array(plain)
@@ -123,9 +128,9 @@ def make_text(rng: Generator, path: Path) -> None:
     separator = str(rng.choice([",", ";", "\t", "|", " "]))
     odd = ["1", "1,5", "2.5e300", "", "nan", '"', "'", "word", "-", "1_0", "é", "0x1"]
     rows = [[str(rng.choice(odd)) if rng.random() < 0.1 else f"{rng.standard_normal():.4f}"
-             for _ in range(int(rng.integers(1, 9)) if rng.random() < 0.05 else 5)]
-            for _ in range(int(2 ** rng.uniform(1, 8)))]
-    head = [separator.join(str(rng.choice(NAMES)) for _ in range(5)) for _ in range(int(rng.integers(0, 4)))]
+             for _ in range(rng.integers(1, 9) if rng.random() < 0.05 else 5)]
+            for _ in range(some(rng, 8, 1))]
+    head = [separator.join(str(rng.choice(NAMES)) for _ in range(5)) for _ in range(rng.integers(0, 4))]
     text = "\n".join([*head, *(separator.join(row) for row in rows)])
     path.write_bytes(text.encode(str(rng.choice(["utf-8", "utf-16", "cp1252"])), "replace"))
 
@@ -133,13 +138,13 @@ def make_text(rng: Generator, path: Path) -> None:
 def make_can(rng: Generator, path: Path) -> None:
     """Frames of an ODrive; a few of other drives, lengths and kinds; in a third of the files lines that are none."""
     lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
-    for k in range(int(2 ** rng.uniform(1, 8))):
-        number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else int(rng.integers(2**29))
-        size = 8 if rng.random() < 0.9 else int(rng.integers(0, 9))
+    for k in range(some(rng, 8, 1)):
+        number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else rng.integers(2**29)
+        size = 8 if rng.random() < 0.9 else rng.integers(0, 9)
         mark = str(rng.choice(["##1", "#R", "##", ""])) if rng.random() < odd else "#"
         code = f"{number:03X}" if number < 0x800 else f"{number:08X}"
         data = rng.bytes(size).hex().upper()
-        lines.append(f"({1e9 + k * 0.01:.6f}) can{int(rng.integers(3))} {code}{mark}{data}")
+        lines.append(f"({1e9 + k * 0.01:.6f}) can{rng.integers(3)} {code}{mark}{data}")
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -152,20 +157,20 @@ def make_db3(rng: Generator, path: Path) -> None:
                  "offered_qos_profiles text, type_description_hash text)")
     base.execute("create table messages(id integer primary key, topic_id integer, timestamp integer, data blob)")
     base.execute("create table schema(schema_version integer, ros_distro text)")
-    for k in range(int(rng.integers(0, 4))):
+    for k in range(rng.integers(0, 4)):
         kind = rng.choice(["sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "no/msg/Such"])
         name = f"/{rng.choice(NAMES)}{k}"
         base.execute("insert into topics values(?,?,?,?,?,?)", (k, name, str(kind), "cdr", "", ""))
-    for k in range(int(2 ** rng.uniform(0, 6))):
-        base.execute("insert into messages values(?,?,?,?)", (k, int(rng.integers(5)), int(2 ** rng.uniform(0, 63)),
-                                                              b"\0\1\0\0" + rng.bytes(int(2 ** rng.uniform(0, 9)))))
+    for k in range(some(rng, 6)):
+        base.execute("insert into messages values(?,?,?,?)", (k, int(rng.integers(5)), some(rng, 63),
+                                                              b"\0\1\0\0" + rng.bytes(some(rng, 9))))
     base.commit()
     base.close()
 
 
 def make_urdf(rng: Generator, path: Path) -> None:
     """Joints between any links: chains, trees, circles."""
-    n, odd = int(rng.integers(1, 6)), 0.3 if rng.random() < 0.5 else 0.0
+    n, odd = rng.integers(1, 6), 0.3 if rng.random() < 0.5 else 0.0
     names = [str(rng.choice(NAMES)) if rng.random() < odd else f"l{k}" for k in range(n + 1)]
     quoted = [name.replace("\n", "&#10;").replace("<", "") for name in names]
     links = "".join(f'<link name="{q}"><inertial><mass value="{number(rng, odd)}"/><inertia ixx="1" izz="1" ixy="0" '
@@ -195,7 +200,7 @@ def make_mjcf(rng: Generator, path: Path) -> None:
     if rng.random() < odd:
         head += f'<include file="{rng.choice(extra["include"])}"/>'
     inner = ""
-    for k in range(int(rng.integers(1, 5))):
+    for k in range(rng.integers(1, 5)):
         kind = str(rng.choice(["slide", "ball", "free", "x"])) if rng.random() < odd else "hinge"
         shape = f'<inertial pos="0 0 -{number(rng, odd)}" mass="1" diaginertia="1 1 1"/>'
         if rng.random() < odd:

@@ -49,7 +49,7 @@ def carrying(body: LegBody, mass_kg: float, arm_m: float) -> LegBody:
 def loaded(number: int) -> tuple[LegBody, LegBody, float, float]:
     """Leg `number` and the same with its payload, mass [kg] and distance from the knee [m]."""
     rng, body = np.random.default_rng([SEED, number]), leg_of(SEED, number)
-    share, arm = float(np.exp(rng.uniform(*np.log(SHARES)))), float(rng.uniform(0.0, FARTHEST_M))
+    share, arm = float(np.exp(rng.uniform(*np.log(SHARES)))), rng.uniform(0.0, FARTHEST_M)
     return body, carrying(body, share * body.m2, arm), share * body.m2, arm
 
 

@@ -59,8 +59,12 @@ def understood(frame: bytes) -> Message | None:
     return next(iter(Decoder().feed(DELIMITER + frame)), None)
 
 
-def ways(bench: PortBench, names: str) -> list[Way]:
-    return [getattr(bench.line, name) for name in names.split()]
+def on(names: str, act: Callable[[PortBench, Way], None]) -> Act:
+    """Something done to one way of the line, or to both."""
+    def strike(bench: PortBench) -> None:
+        for name in names.split():
+            act(bench, getattr(bench.line, name))
+    return strike
 
 
 # -- the line ----------------------------------------------------------------------------------------------------
@@ -68,51 +72,43 @@ def ways(bench: PortBench, names: str) -> list[Way]:
 
 def cut(names: str, for_s: float | None = None) -> Act:
     """Bytes vanish, for good or for a while."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.change = lost
-            if for_s is not None:
-                bench.later(for_s, lambda way=way: setattr(way, "change", as_it_is))  # type: ignore[misc]
-    return strike
+    def act(bench: PortBench, way: Way) -> None:
+        way.change = lost
+        if for_s is not None:
+            bench.later(for_s, lambda: setattr(way, "change", as_it_is))
+    return on(names, act)
 
 
 def late(names: str, by_s: float) -> Act:
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.late_s = by_s
-    return strike
+    return on(names, lambda bench, way: setattr(way, "late_s", by_s))
 
 
 def collected(names: str, for_s: float) -> Act:
     """Held back, then all of it at once."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            held = bytearray()
-            way.change = lambda frame, held=held: bytes(held.extend(frame) or b"")  # type: ignore[misc]
+    def act(bench: PortBench, way: Way) -> None:
+        held = bytearray()
+        way.change = lambda frame: bytes(held.extend(frame) or b"")
 
-            def burst(way: Way = way, held: bytearray = held) -> None:
-                way.change = as_it_is
-                way.put(bytes(held))
-            bench.later(for_s, burst)
-    return strike
+        def burst() -> None:
+            way.change = as_it_is
+            way.put(bytes(held))
+        bench.later(for_s, burst)
+    return on(names, act)
 
 
 def changed(names: str, change: Callable[[bytes, Any], bytes]) -> Act:
     """Each frame by a function of it and of the bench's random numbers."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.change = lambda frame: change(frame, bench.rng)
-    return strike
+    return on(names, lambda bench, way: setattr(way, "change", lambda frame: change(frame, bench.rng)))
 
 
 def one_bit(frame: bytes, rng: Any) -> bytes:
-    at = int(rng.integers(len(frame)))
-    return frame[:at] + bytes([frame[at] ^ 1 << int(rng.integers(8))]) + frame[at + 1:]
+    at = rng.integers(len(frame))
+    return frame[:at] + bytes([frame[at] ^ 1 << rng.integers(8)]) + frame[at + 1:]
 
 
 def bits_at(share: float) -> Callable[[bytes, Any], bytes]:
     """One bit wrong in so many bytes."""
-    return lambda frame, rng: bytes(b ^ (1 << int(rng.integers(8))) * (rng.random() < share) for b in frame)
+    return lambda frame, rng: bytes(b ^ (1 << rng.integers(8)) * (rng.random() < share) for b in frame)
 
 
 def dropped(share: float) -> Callable[[bytes, Any], bytes]:
@@ -231,9 +227,7 @@ def second_driver(timed: bool, torque_nm: float = 0.4) -> Act:
 
 
 def patched(function: str, code: bytes) -> Act:
-    def strike(bench: PortBench) -> None:
-        bench.board.patch(function, code)
-    return strike
+    return lambda bench: bench.board.patch(function, code)
 
 
 def stuck_tick(bench: PortBench) -> None:

@@ -30,21 +30,18 @@ FEW = 40
 PAPERS = {"MLE": ("mle", PAPERS_MLE), "WLS-FCD": ("wls", KNOWN_WLS), "HEKF": ("hekf",), "RLS": ("rls",)}
 """Row of the paper -> our methods"""
 METHODS = [method for methods in PAPERS.values() for method in methods]
+BY_OURS, BY_PAPERS = ("mle", "wls", "rls"), (PAPERS_MLE, "wls", "rls")
 CHOICES: tuple[tuple[str, Protocol, tuple[str, ...]], ...] = (
     ("as printed below", PRINTED, (PAPERS_MLE, "wls", KNOWN_WLS, "rls")),
-    ("bandwidth 4 rad/s", replace(PRINTED, bandwidth=4.0), ("mle", "wls", "rls")),
-    ("bandwidth 5 rad/s", replace(PRINTED, bandwidth=5.0), ("mle", "wls", "rls")),
-    ("bandwidth 8 rad/s", replace(PRINTED, bandwidth=8.0), ("mle", "wls", "rls")),
-    ("controller sampled, torque held, fits told so (our protocol)", OURS, ("mle", "wls", "rls")),
-    ("controller sampled at 6 rad/s, fits not told", replace(PRINTED, continuous=False), ("mle", "wls", "rls")),
-    ("fits told that the torque is replayed held", replace(PRINTED, hold="zero"), ("mle", "wls", "rls")),
-    ("torque noise of 0.1 N m, not of variance 0.1", replace(PRINTED, torque_variance=0.01),
-     (PAPERS_MLE, "wls", "rls")),
-    ("spacing n_cd", replace(PRINTED, spacing="n_cd"), (PAPERS_MLE, "wls", "rls")),
+    *((f"bandwidth {rate:g} rad/s", replace(PRINTED, bandwidth=rate), BY_OURS) for rate in (4.0, 5.0, 8.0)),
+    ("controller sampled, torque held, fits told so (our protocol)", OURS, BY_OURS),
+    ("controller sampled at 6 rad/s, fits not told", replace(PRINTED, continuous=False), BY_OURS),
+    ("fits told that the torque is replayed held", replace(PRINTED, hold="zero"), BY_OURS),
+    ("torque noise of 0.1 N m, not of variance 0.1", replace(PRINTED, torque_variance=0.01), BY_PAPERS),
+    ("spacing n_cd", replace(PRINTED, spacing="n_cd"), BY_PAPERS),
     ("spacing n_cd / 2, rounded down", replace(PRINTED, spacing="half"), ("wls", "rls")),
-    ("torque low-passed like the angle, (34)", replace(PRINTED, torque_filtered=True), (PAPERS_MLE, "wls", "rls")),
-    ("record begins 30 ms after the impact", replace(PRINTED, first=3), ("mle", "wls", "rls")),
-    ("record begins 100 ms after the impact", replace(PRINTED, first=10), ("mle", "wls", "rls")),
+    ("torque low-passed like the angle, (34)", replace(PRINTED, torque_filtered=True), BY_PAPERS),
+    *((f"record begins {10 * first} ms after the impact", replace(PRINTED, first=first), BY_OURS) for first in (3, 10)),
     *((f"passive row to {level:g} N m", replace(PRINTED, passive_nm=level), (PAPERS_MLE, KNOWN_WLS, "rls"))
       for level in (0.003, 0.01, 0.03, 0.316, 1.0)),
     *((f"passive row to {level:g} N m, spacing n_cd", replace(PRINTED, passive_nm=level, spacing="n_cd"), ("rls",))
@@ -96,8 +93,8 @@ def page(runs: int = 200) -> Lines:
                 mean, _, _, failed = cell(run(protocol, method, case, FEW).error)
                 good = close(mean, method, case)
                 reached |= {(method, case)} if good else set()
-                cells.append(f"{'**' if good else ''}{figure(mean)}{'**' if good else ''}"
-                             + (f" ({failed} failed)" if failed else ""))
+                bold = "**" * good
+                cells.append(f"{bold}{figure(mean)}{bold}" + f" ({failed} failed)" * bool(failed))
             choices.append(f"{label} | {figure(error_of_truth(protocol))} | {LABELS[method]} | {' | '.join(cells)}")
             tell(choices[-1])
     best = [max(close_of[method] for method in methods) for methods in PAPERS.values()]

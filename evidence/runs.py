@@ -37,14 +37,13 @@ Change = Callable[[Generator, Dataset], Dataset]
 def by_servo(seed: int) -> Case:
     """A leg of MuJoCo's friction under a position servo, and its runs."""
     rng = default_rng([7, seed])
-    dry = float(rng.uniform(0.02, 0.08))
+    dry = rng.uniform(0.02, 0.08)
     leg = replace(random_leg(rng), coulomb=(0.1 * dry, dry))
     bare = replace(leg, coulomb=(0.0, 0.0))
     runs = []
     for k in range(RUNS):
         columns = servo.record(bare, servo.Plant(), dry, rng, k, session_s=25.0 * k)
-        noisy = {c: columns[c] + servo.NOISE.get(c, 0.0) * rng.normal(size=columns[c].size)
-                 for c in servo.COLUMNS[1:]}
+        noisy = {c: columns[c] + servo.NOISE.get(c, 0.0) * rng.normal(size=columns[c].size) for c in servo.COLUMNS[1:]}
         noisy["q2_rad"] = servo.counted(noisy["q2_rad"])
         runs.append(Dataset(f"run{k}", servo.RATE_HZ, columns["time_s"], noisy))
     return leg, runs

@@ -5,6 +5,7 @@ them.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -43,6 +44,7 @@ PUBLISHED: dict[str, dict[str, float]] = {
            "load_friction_motor_quad": 0.00525869, "load_friction_external_quad": 0.0090157}}
 
 
+@cache
 def rig() -> Rig:
     """The rig file of the records."""
     return load_rig(RIG)
@@ -52,7 +54,7 @@ def records(kinds: tuple[str, ...]) -> list[Dataset]:
     """Runs with their command as the contract names it; `lift_and_drop` switches the motor off."""
     paths = [FOLDER / f"kp{gain}_{kind}.csv.gz" for kind in kinds for gain in (100, 400)]
     return [replace(d, columns={("q1_cmd_rad" if n == "goal_rad" else n): v for n, v in d.columns.items()})
-            for d in as_datasets(paths, load_rig(RIG))]
+            for d in as_datasets(paths, rig())]
 
 
 def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
@@ -67,10 +69,10 @@ def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
 @kept
 def fits() -> dict[str, FittedModel]:
     """Estimator to our model of the train runs, in volts."""
-    rig, train, found = load_rig(RIG), records(TRAIN), {}
+    train, found = records(TRAIN), {}
     for method in ("wls", "mle"):
-        result = legid.fit(train, rig, choose=False, method=method).estimate  # values, open or not
-        found[method] = FittedModel(result.mechanism, rig.sampling.hold, result.beta)
+        result = legid.fit(train, rig(), choose=False, method=method).estimate  # values, open or not
+        found[method] = FittedModel(result.mechanism, rig().sampling.hold, result.beta)
     return found
 
 
@@ -89,7 +91,7 @@ def extended(name: str) -> FittedModel:
 def errors() -> dict[str, list[float]]:
     """Model to the rms error [rad] on each test run."""
     test = records(TEST)
-    (check,) = law_checks(test, build_mechanism(mechanism_settings(load_rig(RIG))))
+    (check,) = law_checks(test, build_mechanism(mechanism_settings(rig())))
     out: dict[str, list[float]] = {}
     for run, gain in zip(test, check.after.gains):
         ours = {f"legid, {name}: Coulomb and viscous": model for name, model in fits().items()}

@@ -7,6 +7,7 @@ limit are drawn. Called again the study goes on where it stopped.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from daq import Dataset, InputError, Rig, parse_rig
 from estimator import FitError
 from evidence import what_changed
 from evidence.blind.records import UNTOUCHED
+from evidence.blind.servo import Change, changed
 from evidence.frame import Lines, program, share, table, tell, within
 from evidence.kept import kept
 from evidence.processor_time import within_processor_time
@@ -41,13 +43,9 @@ class Hidden:
     effect: str
     loop: Callable[[float], ServoFaults] = lambda s: ServoFaults()
     law: Callable[[float, Leg], Law | None] = lambda s, leg: None
-    logged: Callable[[dict[str, np.ndarray], float], None] = lambda columns, s: None
+    logged: Callable[[float], Change] = lambda s: lambda columns: None
     also: tuple[str, ...] = ()
     """Other effects that are the same function of these records"""
-
-
-def _scale_angle(columns: dict[str, np.ndarray], s: float) -> None:
-    columns["q2_rad"] = columns["q2_rad"] * (1.0 + 0.05 * s)
 
 
 def _directional(s: float, leg: Leg) -> Law:
@@ -75,7 +73,7 @@ CAUSES = (
         0.0, -0.2 * s * abs(u) * math.tanh(v2 / 0.01)), also=("load_stribeck_friction", "quadratic_load_friction",
                                                        "directional_load_friction")),
     Hidden("supply_sag", lambda s: ServoFaults(sag=0.25 * s), also=("torque_saturation", "input_limit")),
-    Hidden("encoder_scale", logged=_scale_angle),
+    Hidden("encoder_scale", logged=lambda s: changed("q2_rad", lambda q: q * (1.0 + 0.05 * s))),
     Hidden("encoder_scale", lambda s: ServoFaults(encoder_scale=0.15 * s)),
     Hidden("command_steps", lambda s: ServoFaults(step=math.radians(2.0))),
     Hidden("directional_load_friction", law=_directional),
@@ -117,7 +115,7 @@ def record(drawn: Drawn, seed: int, cause: Hidden = CAUSES[0], delay_s: float = 
                      faults=replace(faults, delay_s=faults.delay_s + delay_s), law=cause.law(strength, drawn.leg),
                      name=f"r{k + 1}")
         columns = dict(run.columns)
-        cause.logged(columns, strength)
+        cause.logged(strength)(columns)
         found.append(replace(run, columns=columns))
     return found
 
@@ -170,8 +168,7 @@ def values(which: int, seed: int) -> tuple[Value, ...] | None:
     """Values that a fit finds if the rig file states gain and rate alone; None without an answer."""
     drawn, rng = draw(seed), default_rng([seed, 4])
     limit, integral = rng.uniform(0.6, 1.2), rng.uniform(1.0, 4.0)
-    faults = {"limit": ServoFaults(limit=limit), "integral": ServoFaults(integral=integral)}.get(LOOPS[which],
-                                                                                                ServoFaults())
+    faults = (ServoFaults(limit=limit), ServoFaults(integral=integral), ServoFaults())[which]
     rig = parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")
     try:
         found = legid.fit(record(drawn, seed, Hidden("none", lambda s: faults), drawn.delay_s), rig)
@@ -211,22 +208,16 @@ def diagnose(which: int, seed: int) -> Said:
 def rounds(seed: int, fits: bool) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """With `fits` a fit with the gain or with other values unknown, then a diagnosis, and so on, each with a seed of
     its own."""
-    turn = 0
-    while True:
-        if not fits:
-            pass
-        elif turn % 2:
+    for turn in count():
+        if fits and turn % 2:
             yield "values", (turn // 2 % len(LOOPS), seed + 2 * turn)
-        else:
+        elif fits:
             yield "fit", (seed + 2 * turn,)
         yield "diagnosis", (turn % len(CAUSES), seed + 2 * turn + 1)
-        turn += 1
 
 
 def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str = "") -> Lines:
-    gains: list[Fit] = []
-    loops: list[tuple[Value, ...] | None] = []
-    answers: list[tuple[Hidden, int, Said]] = []
+    gains, loops, answers = list[Fit](), list[tuple[Value, ...] | None](), list[tuple[Hidden, int, Said]]()
     for kind, given in within(minutes, rounds(seed, only != HIDDEN)):
         if kind == "fit":
             gains.append(fit(*given))
@@ -234,7 +225,7 @@ def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str
             loops.append(values(*given))
         else:
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
-        tell(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:])
+        tell(kind, given, {"fit": gains, "values": loops, "diagnosis": answers}[kind][-1:])
     yield from [
         "# Servos: legs that follow a command",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "

@@ -87,7 +87,7 @@ def kill_one(folder: Path, k: int, port: str, rng: np.random.Generator) -> Kille
     deadline = time.monotonic() + 30
     while PROGRESS.unpack(progress[:16])[0] < 1 and time.monotonic() < deadline:
         time.sleep(0.005)
-    time.sleep(float(rng.uniform(0.02, 2.5)))
+    time.sleep(rng.uniform(0.02, 2.5))
     os.kill(child, signal.SIGKILL)
     killed_ns = time.monotonic_ns()
     os.waitpid(child, 0)

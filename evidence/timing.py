@@ -55,7 +55,7 @@ def drawn(seed: int, turn: int) -> Timing:
         tick, every = float(rng.choice(TICKS_HZ)), int(rng.choice(LOGGED))
         if SLOWEST_LOG_HZ <= tick / every <= FASTEST_LOG_HZ:
             break
-    delay = round(float(rng.uniform(*DELAYS_S)), 4) if turn % 2 else 0.0
+    delay = round(rng.uniform(*DELAYS_S), 4) if turn % 2 else 0.0
     loop = str(rng.choice(["open", "pd"]))
     between = "zero" if loop == "pd" else str(rng.choice(["zero", "ramp", "average"]))
     return Timing(tick, every, delay, between, loop)

@@ -18,7 +18,7 @@ from estimator import FitError
 from evidence.blind.score import Rate
 from evidence.frame import Lines, new_folder, program, share, table, tell, within
 from evidence.kept import kept
-from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, hidden_at, make
+from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, KnownLeg, hidden_at, make
 from evidence.lab_legs import lab_leg
 from evidence.machine_records import MACHINES, Machine
 from evidence.machines import typed, unpack
@@ -82,9 +82,14 @@ def errors_of(found: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str,
     return errors
 
 
+def fits_of(source: str, hidden: str, known: KnownLeg) -> tuple[Outcome, ...]:
+    """The fits of a leg from its first run and from all."""
+    return tuple(outcome(source, hidden, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+
+
 @kept
 def leg(family: str, turn: int, seed: int) -> tuple[Outcome, ...]:
-    """The leg of this turn, fitted from its first run and from all."""
+    """The leg of this turn."""
     hidden = HEALTHY if family == LAB else hidden_at(family, turn)
     with new_folder() as folder:
         if family == LAB:
@@ -92,7 +97,7 @@ def leg(family: str, turn: int, seed: int) -> tuple[Outcome, ...]:
         else:
             known = make(family, turn, seed, folder)
             known = known._replace(rig=structs.replace(known.rig, tolerance={"torque_gain": 0.0}))
-    return tuple(outcome(family, hidden, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+    return fits_of(family, hidden, known)
 
 
 @kept
@@ -100,7 +105,7 @@ def wrong(times: float, turn: int, seed: int) -> tuple[Outcome, ...]:
     """A leg whose faults are drawn from `times` the tolerances."""
     with new_folder() as folder:
         known = lab_leg(HEALTHY, np.random.default_rng([seed, turn, 1]), folder, times)
-    return tuple(outcome(f"{times:g}", HEALTHY, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+    return fits_of(f"{times:g}", HEALTHY, known)
 
 
 @kept
@@ -173,7 +178,7 @@ def page(turns: int = 40, minutes: float = 60.0, seed: int = 6200, snapshots: st
           for count in (1, RUNS)),
         _line("in all", rows)])
     yield table("trusted fits | inertias and gravity terms within | friction within", (
-        (kind, _within(some, RIGID), _within(some, NAMES[5:])) for kind, healthy in KINDS
+        f"{kind} | {_within(some, RIGID)} | {_within(some, NAMES[5:])}" for kind, healthy in KINDS
         for some in [[one for one in rows if one.trusted and (one.hidden == HEALTHY) == healthy]]))
     yield "Faults drawn from half and from twice the tolerances that the rig file says:"
     yield table(HEAD, (_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items()

@@ -128,8 +128,9 @@ def fit_walk(seed: int) -> Fit:
     return Fit(shown - last if len(shown) == len(last) else np.array([np.inf]), own, by_bound)
 
 
-Hide = Callable[[Generator], tuple[int | None, Law, Callable[[Dataset], Dataset]]]
-"""-> joint (None: all), law of the hips, what the sensors make of a record."""
+Effect = tuple[int | None, Law, Callable[[Dataset], Dataset]]
+"""Joint (None: all), law of the hips, what the sensors make of a record."""
+Hide = Callable[[Generator], Effect]
 
 
 def _same(data: Dataset) -> Dataset:
@@ -138,8 +139,8 @@ def _same(data: Dataset) -> Dataset:
 
 def _rubbing(force: Callable[[float, float, float], float], low: float, high: float) -> Hide:
     """A torque by (angle, rate, rounded sign of the rate), times a size between `low` and `high`, at one hip."""
-    def hide(rng: Generator) -> tuple[int | None, Law, Callable[[Dataset], Dataset]]:
-        leg, size = int(rng.integers(2)), float(rng.uniform(low, high))
+    def hide(rng: Generator) -> Effect:
+        leg, size = int(rng.integers(2)), rng.uniform(low, high)
 
         def law(at: int, angle: float, rate: float, torque: float) -> float:
             return size * force(angle, rate, rate / float(np.hypot(rate, 0.02))) if at == leg else 0.0
@@ -149,7 +150,7 @@ def _rubbing(force: Callable[[float, float, float], float], low: float, high: fl
 
 def _misread(columns: Callable[[int], Sequence[str]], low: float, high: float, one: bool) -> Hide:
     """A constant in columns of one leg, or of both."""
-    def hide(rng: Generator) -> tuple[int | None, Law, Callable[[Dataset], Dataset]]:
+    def hide(rng: Generator) -> Effect:
         leg, size = int(rng.integers(2)), float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
 
         def off(data: Dataset) -> Dataset:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 import legid
-from daq import Dataset, InputError, WorkError, load_rig
+from daq import Dataset, InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from estimator.change import ChangedCause
 from evidence.blind.records import COMMANDS, FAULTS, RECORDS, RIGS, UNTOUCHED
@@ -70,23 +70,31 @@ def runs_of(record: str) -> tuple[Dataset, ...]:
     """All runs of a record."""
     known = RECORDS[record]
     paths = [REAL / known.folder / f"{name}.csv.gz" for name in known.runs]
-    read = as_datasets(paths, load_rig(RIGS / known.rig), False)
+    read = as_datasets(paths, rig_of(record), False)
     return tuple(replace(data, columns={COMMANDS.get(n, n): v for n, v in data.columns.items()}) for data in read)
 
 
 @cache
 def model_of(record: str, reference: tuple[int, ...]) -> Model:
     """The nominal model of the reference runs."""
-    rig, runs = load_rig(RIGS / RECORDS[record].rig), [runs_of(record)[k] for k in reference]
+    rig, runs = rig_of(record), [runs_of(record)[k] for k in reference]
     return legid.model(legid.fit(runs, rig, choose=False), runs, rig)
+
+
+def later(record: str, reference: tuple[int, ...], fault: str, size: float) -> list[Dataset]:
+    """The test runs, with the fault in their readings."""
+    return spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
+
+
+def rig_of(record: str) -> Rig:
+    return load_rig(RIGS / RECORDS[record].rig)
 
 
 @kept
 def free_run_error(record: str, reference: tuple[int, ...], fault: str, size: float) -> dict[str, float]:
     """Angle -> rms error of the test runs over free runs of `PIECE_S`; empty where they cannot be simulated."""
-    test = spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
     try:
-        found = legid.validate(model_of(record, reference), test, load_rig(RIGS / RECORDS[record].rig))
+        found = legid.validate(model_of(record, reference), later(record, reference, fault, size), rig_of(record))
     except (FitError, InputError, WorkError):  # also of a reference that determines too little
         return {}
     row = next(one for one in found.horizons if one.horizon_s == PIECE_S)
@@ -124,9 +132,9 @@ def one(record: str, reference: tuple[int, ...], fault: str, ratio: float) -> An
     size = 0.0 if fault == UNTOUCHED else size_for(record, reference, fault, ratio)
     if size is None:
         return Answer("out of reach")
-    test = spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
+    before = [runs_of(record)[k] for k in reference]
     try:
-        found = find_change(test, [runs_of(record)[k] for k in reference], load_rig(RIGS / RECORDS[record].rig)).change
+        found = find_change(later(record, reference, fault, size), before, rig_of(record)).change
     except InputError:
         return Answer("refused", size=size)
     causes = tuple(sorted({c.effect for c in found.causes}))
@@ -175,8 +183,7 @@ def page(minutes: float = 60.0) -> Lines:
         tell(*every[-1])
     rows = [row for row in every if row[1].verdict != "out of reach"]
     spoiled = [row for row in rows if row[0].fault != UNTOUCHED]
-    plain = [answer for case, answer in rows if case.fault == UNTOUCHED]
-    quiet = sum(answer.verdict == "no_change" for answer in plain)
+    quiet = [answer.verdict == "no_change" for case, answer in rows if case.fault == UNTOUCHED]
     sized = [answer.held for _, answer in spoiled if answer.held is not None]
     splits = [len({case.reference for case, _ in every if case.record == record and case.fault != UNTOUCHED})
               for record in USED]
@@ -207,8 +214,8 @@ def page(minutes: float = 60.0) -> Lines:
          "80, 90, 95 %"),
         ("the fault named and nothing else", *map(alone, by_ratio), alone(spoiled), ""),
         ("wrong names alone", *(counted(of, True) for of in by_ratio), counted(spoiled, True), "at most 3 %"),
-        ("size within its interval", *[""] * len(RATIOS), f"{sum(sized)} of {len(sized)}", "90 %"),
-        ("untouched sessions `no_change`", *[""] * len(RATIOS), f"{quiet} of {len(plain)}", "95 %")])
+        f"size within its interval{' | ' * len(RATIOS)} | {sum(sized)} of {len(sized)} | 90 %",
+        f"untouched sessions `no_change`{' | ' * len(RATIOS)} | {sum(quiet)} of {len(quiet)} | 95 %"])
     lines = []
     for record, fault, ratio in sorted({(case.record, case.fault, case.ratio) for case, _ in every},
                                        key=lambda key: (USED.index(key[0]), key[1] != UNTOUCHED, key[1:])):

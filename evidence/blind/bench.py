@@ -3,6 +3,7 @@ the truth.
 """
 
 import json
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,18 +25,12 @@ SHARES = np.array([0.2, 0.35, 0.5, 0.7, 0.9, 1.15])
 
 def _scale(rigs: list[DrawnCase], grid: Array) -> None:
     """Give every case the largest torque that keeps its plain leg within moderate angles."""
-    legs: list[Leg] = []
-    torque: list[Array] = []
-    for rig in rigs:
-        weight = 9.81 * float(rig.leg.beta()[4])
-        for share in SHARES:
-            for run in rig.torques:
-                legs.append(rig.leg)
-                torque.append(run.at(grid, share * weight))
-    motion = integrate(stack(legs), np.array(torque).T, step=5e-3)
-    shape = (len(rigs), SHARES.size, RUNS)
-    knee = np.abs(motion.q2).max(axis=0).reshape(shape).max(axis=2)
-    pivot = np.abs(motion.q1).max(axis=0).reshape(shape).max(axis=2)
+    tried = [(rig.leg, run.at(grid, share * (9.81 * float(rig.leg.beta()[4]))))
+             for rig in rigs for share in SHARES for run in rig.torques]
+    legs, torque = zip(*tried)
+    motion = integrate(stack(list(legs)), np.array(torque).T, step=5e-3)
+    knee, pivot = (np.abs(q).max(axis=0).reshape(len(rigs), SHARES.size, RUNS).max(axis=2)
+                   for q in (motion.q2, motion.q1))
     for rig, k, p in zip(rigs, knee, pivot):
         allowed = (k < KNEE_LIMIT) & (p < PIVOT_LIMIT)
         share = SHARES[np.flatnonzero(allowed)[-1]] if allowed.any() else SHARES[0]
@@ -44,19 +39,17 @@ def _scale(rigs: list[DrawnCase], grid: Array) -> None:
 
 def _acting(rig: DrawnCase, run: int, shown: Array, grid: Array) -> Array:
     """Torque that acts on the knee while the shunt shows `shown`."""
-    drive: dict[str, float] = {}
-    for effect in rig.hidden:
-        drive.update(effect.drive)
+    drive = defaultdict(float, {key: value for effect in rig.hidden for key, value in effect.drive.items()})
     torque = shown
-    if drive.get("delay"):
+    if drive["delay"]:
         torque = rig.torques[run].at(grid + drive["delay"], rig.scale)
-    if drive.get("saturation"):
+    if drive["saturation"]:
         torque = drive["saturation"] * np.tanh(torque / drive["saturation"])
-    if drive.get("dead_band"):
+    if drive["dead_band"]:
         torque = torque - drive["dead_band"] * np.tanh(torque / drive["dead_band"])
-    if drive.get("gain_drift"):
+    if drive["gain_drift"]:
         torque = torque * (1.0 - drive["gain_drift"] * (rig.session[run] + grid) / (rig.session[-1] + SECONDS))
-    return torque + drive.get("offset", 0.0)
+    return torque + drive["offset"]
 
 
 @dataclass
@@ -89,12 +82,11 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
     rigs = [draw_case(case, strengths()) for case in cases]
     _scale(rigs, grid)
     signals = _Signals([], [], [], [])
-    for rig in rigs:
-        for run in range(RUNS):
-            signals.shown.append(rig.torques[run].at(grid, rig.scale))
-            signals.noise.append(rig.sensors.torque * rig.noise.normal(size=samples))
-            signals.process.append(coloured(rig.noise, samples, rig.sensors.process, rig.sensors.process_time))
-            signals.pivot.append(coloured(rig.noise, samples, rig.sensors.pivot, rig.sensors.process_time))
+    for rig, torque in ((one, torque) for one in rigs for torque in one.torques):
+        signals.shown.append(torque.at(grid, rig.scale))
+        signals.noise.append(rig.sensors.torque * rig.noise.normal(size=samples))
+        signals.process.append(coloured(rig.noise, samples, rig.sensors.process, rig.sensors.process_time))
+        signals.pivot.append(coloured(rig.noise, samples, rig.sensors.pivot, rig.sensors.process_time))
     references = _refer(rigs, signals) if with_ratio else []
     if with_ratio:
         _size(rigs, signals, grid, references)
@@ -108,11 +100,7 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
 
 def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid: Array, step: float) -> Motion:
     """Integrate the runs of the chosen cases with what is hidden in them."""
-    legs: list[Leg] = []
-    torque: list[Array] = []
-    pivot: list[Array] = []
-    session: list[float] = []
-    fast: list[int] = []
+    legs, torque, pivot, session, fast = list[Leg](), list[Array](), list[Array](), list[float](), list[int]()
     extra: dict[str, list[float]] = {}
     for i in chosen:
         rig = rigs[i]

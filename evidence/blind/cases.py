@@ -82,14 +82,14 @@ def draw_case(case: Case, table: dict[str, float], strength: float | None = None
     streams = np.random.SeedSequence([*key, case.seed]).spawn(4)
     plan, hide, sensor, noise = (default_rng(s) for s in streams)
     variant = VARIANTS[case.seed % len(VARIANTS)] if case.kind == "none" else "plain"
-    sensors = Sensors(process=float(sensor.uniform(0.005, 0.015)), process_time=float(sensor.uniform(0.05, 0.4)))
+    sensors = Sensors(process=sensor.uniform(0.005, 0.015), process_time=sensor.uniform(0.05, 0.4))
     if variant == "coarse":
         sensors = replace(sensors, bits=11)
     elif variant == "coloured":
         sensors = replace(sensors, process=0.02, process_time=0.3, pivot=0.003)
     elif variant == "quiet":
         sensors = replace(sensors, process=0.0)
-    hidden, size, target = [], 0.0, float(hide.uniform(*TARGETS[case.level]))
+    hidden, size, target = [], 0.0, hide.uniform(*TARGETS[case.level])
     for name in case.effects:
         size = physical(name, table[name] * np.sqrt((target**2 - 1.0) / (TABLE_RATIO**2 - 1.0)))
         size = size if strength is None else strength

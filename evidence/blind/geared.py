@@ -97,9 +97,7 @@ def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyp
     b1, b2, b3, b4, b5 = beta
     h = 1e-3 / 40
     q1 = q2 = qm = v1 = v2 = vm = z1 = z2 = i = shunt = 0.0
-    fg = fx = fy = w = 0.0
-    cable, s, sd = 0.0, 0.0, 0.0
-    u = 0.0
+    fg = fx = fy = w = cable = s = sd = u = 0.0
     out = np.empty((wanted.size, 6))
     gear_damping = 0.6 * np.sqrt(stiffness * rotor)
     for k in range(wanted.size):
@@ -187,9 +185,8 @@ def as_logged(fine: Readings, time: np.ndarray, fault: dict[str, float]) -> Read
     every = round(1.0 / (RATE_HZ * TICK_S))
     grid = time[every:-every:every]
     imu = 2e-3 - TICK_S - fault.get("skew", 0.0)
-    late = {"gyro_radps": imu, "accel_x_mps2": imu, "accel_y_mps2": imu,
-            "tau2_nm": 5e-4 - TICK_S - fault.get("delay", 0.0), "q2_rad": -TICK_S, "q1_rad": -TICK_S}
-    c = {name: np.interp(grid + late[name], time, values) for name, values in fine.items()}
+    late = {"q1_rad": -TICK_S, "q2_rad": -TICK_S, "tau2_nm": 5e-4 - TICK_S - fault.get("delay", 0.0)}
+    c = {name: np.interp(grid + late.get(name, imu), time, values) for name, values in fine.items()}
     c["tau2_nm"] = np.round((c["tau2_nm"] + fault["torque_offset"]) / SHUNT_NM) * SHUNT_NM
     w = c["gyro_radps"]
     c["gyro_radps"] = w * (1.0 + fault["gyro_scale"]) + fault["gyro_bias"] + fault.get("gyro_cubic", 0.0) * w**3

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -138,28 +139,28 @@ def of(kinds: Sequence[str], hit: Callable[[Answer], bool], among: Callable[[Ans
     return lambda a: hit(a) if a.kind in kinds and among(a) else None
 
 
-def _material(answer: Answer) -> bool:
-    return answer.material
+_material, _exact, _inside, _wrong = map(attrgetter, (
+    "material", "outcome.exact", "outcome.inside", "outcome.wrong_name"))
+
+
+def _none(answer: Answer) -> bool:
+    return answer.outcome.verdict == "none"
 
 
 COLUMNS = (
-    Column("healthy: no alarm", of(["none"], lambda a: a.outcome.verdict == "none"), 0.98),
-    Column("material singles: named exactly", of(["single"], lambda a: a.outcome.exact, _material), 0.85),
-    Column("truth in the answer", of(["single"], lambda a: a.outcome.inside, _material), 0.95),
-    Column("wrong name", of(["single"], lambda a: a.outcome.wrong_name, _material), 0.02, at_most=True),
-    Column("`none`", of(["single"], lambda a: a.outcome.verdict == "none", _material)),
-    Column("pairs: both named", of(["pair"], lambda a: a.outcome.exact), 0.75),
+    Column("healthy: no alarm", of(["none"], _none), 0.98),
+    Column("material singles: named exactly", of(["single"], _exact, _material), 0.85),
+    Column("truth in the answer", of(["single"], _inside, _material), 0.95),
+    Column("wrong name", of(["single"], _wrong, _material), 0.02, at_most=True),
+    Column("`none`", of(["single"], _none, _material)),
+    Column("pairs: both named", of(["pair"], _exact), 0.75),
     Column("pairs: one named, the other listed as present, or both named", of(["pair"], lambda a: a.tells_both)),
     Column("outside: `unexplained` or `partial`, no wrong name", of(OUTSIDE, lambda a: a.outside_right), 0.85),
-    Column("outside: wrong name", of(OUTSIDE, lambda a: a.outcome.wrong_name)),
-    Column(f"outside above {EDGE:g} floors: `none`",
-           of(OUTSIDE, lambda a: a.outcome.verdict == "none", lambda a: a.above_edge), 0.0, at_most=True))
-BY_RATIO = (("singles: named exactly", of(["single"], lambda a: a.outcome.exact)),
-            ("truth in the answer", of(["single"], lambda a: a.outcome.inside)),
-            ("wrong name", of(["single"], lambda a: a.outcome.wrong_name)),
-            ("`none`", of(["single"], lambda a: a.outcome.verdict == "none")),
-            ("outside: right", of(OUTSIDE, lambda a: a.outside_right)),
-            ("outside: `none`", of(OUTSIDE, lambda a: a.outcome.verdict == "none")))
+    Column("outside: wrong name", of(OUTSIDE, _wrong)),
+    Column(f"outside above {EDGE:g} floors: `none`", of(OUTSIDE, _none, lambda a: a.above_edge), 0.0, at_most=True))
+BY_RATIO = {"singles: named exactly": of(["single"], _exact), "truth in the answer": of(["single"], _inside),
+            "wrong name": of(["single"], _wrong), "`none`": of(["single"], _none),
+            "outside: right": of(OUTSIDE, lambda a: a.outside_right), "outside: `none`": of(OUTSIDE, _none)}
 
 
 def rate(answers: Iterable[Answer], count: Count) -> Rate:
@@ -222,8 +223,8 @@ def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
     rows.append(("target", *(column.judge(rate(answers, column.count)) for column in COLUMNS)))
     yield from ["## By family", "Bold: misses the target."]
     yield table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
-    single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
-    pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))
+    single = rate(answers, of(["single"], _wrong, lambda a: not a.material))
+    pair = rate(answers, of(["pair"], _wrong))
     listed = [a.outcome.true_cause(c) for a in answers if a.kind in ("single", "pair") and a.outcome.verdict in NAMES
               for c in a.listed]
     yield (f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
@@ -238,8 +239,8 @@ def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
     if unknown := [a for a in answers if a.before is None]:
         groups["not stated"] = unknown
     yield "## By error before, over the floor"
-    yield table(" | ".join(["ratio", *(title for title, _ in BY_RATIO)]), (
-        (name, *(_cell(rate(own, count)) for _, count in BY_RATIO)) for name, own in groups.items()))
+    yield table(" | ".join(["ratio", *BY_RATIO]), (
+        (name, *(_cell(rate(own, count)) for count in BY_RATIO.values())) for name, own in groups.items()))
 
 
 def _reliability(answers: Sequence[Answer]) -> Iterator[str]:

@@ -94,13 +94,10 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
             if i == 0:
                 out[:4, k] = y[:4]
                 out[4:6, k] = k1[2:4]
-                out[6, k] = field.base
-                out[7, k] = field.tilt
-                out[8, k] = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
+                encoder = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
+                out[6:, k] = field.base, field.tilt, encoder
             if fast.size:
-                row = trace[k * substeps + i]
-                row[0], row[1], row[2] = y[0, fast], y[2, fast], k1[2, fast]
-                row[3], row[4] = field.base[fast], field.tilt[fast]
+                trace[k * substeps + i] = y[0, fast], y[2, fast], k1[2, fast], field.base[fast], field.tilt[fast]
             k2 = field(y + (0.5 * h) * k1, t + 0.5 * h, um, pm, f)
             k3 = field(y + (0.5 * h) * k2, t + 0.5 * h, um, pm, f)
             k4 = field(y + h * k3, t + h, u2, p2, f)
@@ -111,7 +108,7 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
             y += (h / 6.0) * k2
             t += h
             f = friction(y, t, u2, f, field.inverse)
-    return Motion(*out, fast, np.arange(count * substeps) * h, trace)
+    return Motion(*out, fast_lanes=fast, fast_time=np.arange(count * substeps) * h, fast=trace)
 
 
 class Field:
@@ -119,12 +116,9 @@ class Field:
 
     def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, gravity: float) -> None:
         self.leg, self.c, self.rows = leg, c, rows
-        self.b1, self.b2, self.b3, b4, b5 = leg.beta()[:5]
-        self.g4, self.g5 = gravity * b4, gravity * b5
-        self.b4, self.b5 = b4, b5
-        lanes = b4.size
-        self.base = np.zeros(lanes)
-        self.tilt = np.zeros(lanes)
+        self.b1, self.b2, self.b3, self.b4, self.b5 = leg.beta()[:5]
+        self.g4, self.g5 = gravity * self.b4, gravity * self.b5
+        self.base, self.tilt = np.zeros((2, self.b4.size))
         self.two_mass = c["shaft"] > 0
         # a geared rotor carried by link 1 turns with q1d + gear*q2d: its energy fills three entries of M
         geared = c["rotor"] > 0
@@ -190,7 +184,7 @@ class Field:
     def __call__(self, y: Array, t: float, torque: Array, pivot: Array, f: Array) -> Array:
         """State rates (rows, L); `f` (2, L) are the dry friction torques held over the step."""
         c, rows = self.c, self.rows
-        q1, q2, w1, w2 = y[0], y[1], y[2], y[3]
+        q1, q2, w1, w2 = y[:4]
         up = q1
         if self.on["tilt"]:
             self.tilt = c["tilt"] * (np.sin(c["tilt_rate"] * t + c["tilt_phase"]) - np.sin(c["tilt_phase"]))
@@ -239,12 +233,9 @@ class Field:
             r1 = r1 - u1 * push * inv
             r2 = r2 - c12 * push * inv
         idet = 1.0 / (m11 * m22 - m12 * m12)
-        rates[0] = w1
-        rates[1] = w2
         a1 = (m22 * r1 - m12 * r2) * idet
         a2 = (m11 * r2 - m12 * r1) * idet
-        rates[2] = a1
-        rates[3] = a2
+        rates[:4] = w1, w2, a1, a2
         self.inverse = (m22 * idet, -m12 * idet, m11 * idet)
         if rows.base:
             self.base = (push - u1 * a1 - c12 * a2) * inv

@@ -51,11 +51,9 @@ def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping
 
     error, floor = differ(measured), differ(bare)
     level = np.sqrt(np.mean(floor**2, axis=(0, 2)) + sigma[:, 0]**2)[:, None]
-    runs = len(measured)
     # columns: nine parameters common to the runs, four initial states for each run
-    common = slopes[:9]
-    columns = [(s / level).reshape(-1) for s in common]
-    for run in range(runs):
+    columns = [(s / level).reshape(-1) for s in slopes[:9]]
+    for run in range(len(measured)):
         for s in slopes[9:]:
             one = np.zeros_like(error)
             one[run] = s[run] / level

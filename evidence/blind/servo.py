@@ -32,12 +32,12 @@ XML = """
       {base}
       <inertial pos="0 0 0" mass="{base_mass}" diaginertia="0.1 0.1 0.1"/>
       <body name="upper" pos="0 0 0">
-        <joint name="pivot" type="hinge" axis="0 -1 0" damping="{d1}" frictionloss="{f1}" stiffness="{k1}"
+        <joint name="pivot" type="hinge" axis="0 -1 0" damping="{viscous[0]}" frictionloss="{f1}" stiffness="{k1}"
                springref="{r1}"/>
         <inertial pos="0 0 -{c1}" mass="{m1}" diaginertia="{i1} {i1} {i1}"/>
         <site name="imu" pos="0 0 -{lever}"/>
         <body name="lower" pos="0 0 -{l1}">
-          <joint name="knee" type="hinge" axis="0 -1 0" damping="{d2}" frictionloss="{f2}" stiffness="{k2}"
+          <joint name="knee" type="hinge" axis="0 -1 0" damping="{viscous[1]}" frictionloss="{f2}" stiffness="{k2}"
                  springref="{r2}" armature="{armature}" {limit}/>
           <inertial pos="0 0 -{c2}" mass="{m2}" diaginertia="{i2} {i2} {i2}"/>
         </body>
@@ -115,21 +115,26 @@ def off_centre(q: np.ndarray, depth: float) -> np.ndarray:
     return np.asarray(np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
 
 
+def at_knee(torque: Callable[[np.ndarray, np.ndarray, float, float], float]) -> Plant:
+    """A plant whose law acts on the knee alone."""
+    return Plant(law=lambda q, v, u, t: (0.0, torque(q, v, u, t)))
+
+
 MAKERS: dict[str, Callable[[float], Plant]] = {
     "none": lambda s: Plant(),
     "joint_stiffness": lambda s: Plant(spring=((0.0, 0.0), (0.35 * s, 0.2))),
     "rotor_inertia": lambda s: Plant(armature=0.006 * s),
-    "quadratic_drag": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.03 * s * v[1] * abs(v[1]) ** 0.9)),
-    "asymmetric_friction": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.08 * s * max(_sign(v[1]), 0.0))),
-    "stribeck_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12))),
-    "load_dependent_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.12 * s * abs(u) * _sign(v[1]))),
-    "torque_ripple": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1])))),
+    "quadratic_drag": lambda s: at_knee(lambda q, v, u, t: -0.03 * s * v[1] * abs(v[1]) ** 0.9),
+    "asymmetric_friction": lambda s: at_knee(lambda q, v, u, t: -0.08 * s * max(_sign(v[1]), 0.0)),
+    "stribeck_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12)),
+    "load_dependent_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.12 * s * abs(u) * _sign(v[1])),
+    "torque_ripple": lambda s: at_knee(
+        lambda q, v, u, t: 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1]))),
     "torque_offset": lambda s: Plant(logged=changed("tau2_nm", lambda u: u + 0.06 * s)),
-    "torque_saturation": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u)),
+    "torque_saturation": lambda s: at_knee(
+        lambda q, v, u, t: u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u),
     "torque_delay": lambda s: Plant(late_s={"tau2_nm": 0.006 * s}),
     "sensor_time_skew": lambda s: Plant(
         late_s={k: 0.004 * s for k in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")}),
@@ -144,9 +149,9 @@ MAKERS: dict[str, Callable[[float], Plant]] = {
     "friction_drift": lambda s: Plant(friction_now=lambda t: 1.0 + 1.5 * s * np.exp(-t / 70.0)),
     "base_compliance": lambda s: Plant(base_n_per_m=6000.0 / s),
     # no effect of the library does these
-    "outside_cubic_spring": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.35 * s * (q[1] - 0.1) ** 3)),
-    "outside_patchy_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.12 * s * _sign(v[1]) * (1.0 + np.sin(4.0 * q[1] + 0.5)))),
+    "outside_cubic_spring": lambda s: at_knee(lambda q, v, u, t: -0.35 * s * (q[1] - 0.1) ** 3),
+    "outside_patchy_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.12 * s * _sign(v[1]) * (1.0 + np.sin(4.0 * q[1] + 0.5))),
     "outside_magnet": lambda s: Plant(
         law=lambda q, v, u, t: (-0.2 * s * (q[0] - 0.1) * np.exp(-((q[0] - 0.1) / 0.08) ** 2) / 0.08, 0.0)),
 }
@@ -157,9 +162,8 @@ def model_of(leg: Leg, plant: Plant, dry: float) -> mujoco.MjModel:
     base = f'<joint type="slide" axis="1 0 0" stiffness="{plant.base_n_per_m}" damping="12"/>' \
         if plant.base_n_per_m else ""
     limit = f'limited="true" range="-3.0 {plant.limit}" solreflimit="-1500 -3"' if plant.limit else ""
-    text = XML.format(step=STEP_S, g=GRAVITY, d1=leg.viscous[0], d2=leg.viscous[1], f1=0.1 * dry, f2=dry, m1=leg.m1,
-                      c1=leg.c1, i1=leg.i1, l1=leg.l1, m2=leg.m2, c2=leg.c2, i2=leg.i2, lever=leg.lever, k1=k1, r1=r1,
-                      k2=k2, r2=r2, armature=plant.armature, base=base, base_mass=2.0, limit=limit)
+    text = XML.format(**vars(leg), step=STEP_S, g=GRAVITY, f1=0.1 * dry, f2=dry, k1=k1, r1=r1, k2=k2, r2=r2,
+                      armature=plant.armature, base=base, base_mass=2.0, limit=limit)
     return mujoco.MjModel.from_xml_string(text)
 
 

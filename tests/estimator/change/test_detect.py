@@ -17,7 +17,8 @@ from estimator.change.verdict import replicates
 from estimator.model import leg2
 from estimator.score import Score, total
 from evidence.blind.records import RECORDS, RIGS
-from evidence.blind.stickslip import MAKERS, Readings
+from evidence.blind.servo import Readings
+from evidence.blind.stickslip import MAKERS
 from evidence.what_changed import runs_of, spoilt
 from experiments.session import prepare
 from experiments.workflows import find_change
