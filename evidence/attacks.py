@@ -7,9 +7,9 @@ from evidence.registry import Evidence
 from tests.support.hostile_files import ATTACKS
 from tests.support.measured_command import measured
 
-EVIDENCE = (
-    Evidence("Files made to do harm, through the commands that read them", "make attacks", "attacks.md", 4,
-             "one line, below 10 s and 1 GB", (r"\d+ of \d+ end in one line", r"slowest [\d.]+ s", r"most \d+ MB")),)
+EVIDENCE = Evidence(
+    "Files made to do harm, through the commands that read them", "make attacks", "attacks.md", 4,
+    "one line, below 10 s and 1 GB", (r"\d+ of \d+ end in one line", r"slowest [\d.]+ s", r"most \d+ MB"))
 
 
 def page() -> Lines:

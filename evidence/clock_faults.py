@@ -15,9 +15,9 @@ from evidence.registry import Evidence
 from experiments.reports import list_runs
 from tests.support.clock_bench import KINDS, MOMENTS_S, SECONDS, WHICH, strike
 
-EVIDENCE = (
-    Evidence("Steps, wraps, freezes and rate changes of the controller's clock", "make clock-faults", "clock-faults.md",
-             15, "none unsaid", (r"\d+ of \d+ faults are said by all three", r"\d+ unsaid")),)
+EVIDENCE = Evidence(
+    "Steps, wraps, freezes and rate changes of the controller's clock", "make clock-faults", "clock-faults.md",
+    15, "none unsaid", (r"\d+ of \d+ faults are said by all three", r"\d+ unsaid"))
 
 
 class Cell(NamedTuple):

@@ -14,7 +14,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.random import default_rng
 
-from daq import Dataset
+from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import leg2
 from estimator.result import TWO_SIDED
@@ -69,7 +69,7 @@ def mujoco_case(seed: int, rate_hz: int, runs: int) -> tuple[Leg, list[Dataset]]
 
 
 @cache
-def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, np.ndarray]]]:
+def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, FloatArray]]]:
     servo.RATE_HZ = 1000.0
     rng = default_rng(seed)
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(*MUJOCO_NM)
@@ -85,7 +85,7 @@ def wandering_case(seed: int, ratio: float, constant_s: float) -> tuple[Leg, lis
 
 
 @kept
-def scores(seeds: Sequence[int], made: Case, sensors: str, method: Method) -> np.ndarray:
+def scores(seeds: Sequence[int], made: Case, sensors: str, method: Method) -> FloatArray:
     """(fits, 9) error of each parameter over half its interval, times 1.96; rows of fits that fail are missing."""
     found = []
     for seed in seeds:

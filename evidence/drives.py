@@ -4,7 +4,6 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from experiments.excite import random_multisine
 from experiments.judge import estimates_of
 from tests.support.drive_bench import DriveBench, telemetry
 from tests.support.fault_bench import MOMENTS
+from tests.support.paths import DEMO_RIG
 
 KINDS = ["moteus", "odrive", "dynamixel"]
 ON_CAN = KINDS[:2]
@@ -88,9 +88,9 @@ def fuzz(frames: int) -> dict[str, tuple[float, int, int, float]]:
             elif how == 1:
                 data = data[:rng.integers(len(data) + 1)]
             elif how == 2:
-                data = bytearray(rng.bytes(rng.integers(65)))
+                data = bytearray(rng.bytes(int(rng.integers(65))))
             else:
-                data += rng.bytes(rng.integers(16))
+                data += rng.bytes(int(rng.integers(16)))
             hear._found = {}
             hear._hear((frame._replace(data=bytes(data[:64])),))
         counted = bench.drive.stats.bad_crc + bench.drive.stats.unknown
@@ -153,7 +153,7 @@ def loaded(kind: str) -> tuple[float, int, float, float]:
 def leg(kind: str, seed: int) -> tuple[float, float]:
     """Of an emulated leg of its own body: the worst relative error of beta1 to beta5, and the share of all nine
     intervals that hold."""
-    named = rig_with_drive((files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8"), kind)
+    named = rig_with_drive(DEMO_RIG.read_text(), kind)
     rng, rig = default_rng(seed), parse_rig(named)
     usual, drawn = vars(LegBody()), dict[str, Any]()
     for name in DRAWN:
@@ -229,9 +229,9 @@ def _leg_row(kind: str, found: np.ndarray) -> str:
             f"{100 * holds.mean():.1f} % +- {100 * half:.1f} %")
 
 
-EVIDENCE = (
-    Evidence("Bought drives, emulated: faults, watchdogs, broken frames, rates, parameters", "make drives",
-             "drives.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
-             "below 25 % of a core, parameters within 1 %",
-             tuple(rf"- ({kind}: zero torque after \d+ ms in the median, \d+ ms at most)" for kind in KINDS)),)
+EVIDENCE = Evidence(
+    "Bought drives, emulated: faults, watchdogs, broken frames, rates, parameters", "make drives",
+    "drives.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
+    "below 25 % of a core, parameters within 1 %",
+    tuple(rf"- ({kind}: zero torque after \d+ ms in the median, \d+ ms at most)" for kind in KINDS))
 main = program(page)

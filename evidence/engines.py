@@ -115,9 +115,9 @@ def _row(one: Healthy) -> str:
             f"{sum(one.within[:5])} | {one.torque_nm:.4f}")
 
 
-EVIDENCE = (
-    Evidence("Are healthy legs of Pinocchio and PyBullet, and of records under another rate, left alone?",
-             "make engines", "engines.md", 60, "98 % of other engines' legs none, 90 % TRUST; 95 % none at other rates",
-             (r"other engines that end (`none`: [^(]* %)", r"fits say (TRUST: [^(]* %)",
-              r"stated rate that end (`none`: [^(]* %)")),)
+EVIDENCE = Evidence(
+    "Are healthy legs of Pinocchio and PyBullet, and of records under another rate, left alone?",
+    "make engines", "engines.md", 60, "98 % of other engines' legs none, 90 % TRUST; 95 % none at other rates",
+    (r"other engines that end (`none`: [^(]* %)", r"fits say (TRUST: [^(]* %)",
+              r"stated rate that end (`none`: [^(]* %)"))
 main = program(page)

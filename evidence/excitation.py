@@ -13,10 +13,10 @@ whole limits.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 
+from daq import FloatArray
 from daq.recording.plan import Plan
 from daq.rig import Rig, parse_rig
 from daq.rig_limits import Limits
@@ -30,6 +30,7 @@ from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Can
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
 from experiments.session import prepare
+from tests.support.paths import DEMO_RIG
 
 WRONG = 0.2
 MARGIN = 0.8
@@ -49,9 +50,9 @@ class Refits:
     """Fits of one plan's runs."""
 
     plan: Plan
-    std: np.ndarray
+    std: FloatArray
     """(seeds, p) standard errors that the fits state."""
-    error: np.ndarray
+    error: FloatArray
     """(seeds, p) estimate minus truth."""
 
 
@@ -67,12 +68,12 @@ def prior_model(body: LegBody) -> Model:
                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
 
 
-def chirp(seconds: float, low_hz: float, high_hz: float) -> np.ndarray:
+def chirp(seconds: float, low_hz: float, high_hz: float) -> FloatArray:
     """Unit chirp, its ends faded; frequency rises evenly in time."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     wave = np.sin(2 * np.pi * (low_hz * t + (high_hz - low_hz) * t**2 / (2 * seconds)))
     wave *= np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0.0, 1.0)
-    return np.asarray(wave / np.abs(wave).max())
+    return wave / np.abs(wave).max()
 
 
 def plans(bench: Bench, seconds: float) -> dict[str, Candidate]:
@@ -103,7 +104,7 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
 
 def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> Lines:
     """Lines on one set of limits."""
-    text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
+    text = DEMO_RIG.read_text()
     for key in ("torque_nm", "speed_radps", "q1_rad", "q2_rad"):
         text = re.sub(rf"^{key} = .*$", f"{key} = {getattr(limits, key)}", text, flags=re.MULTILINE)
     rig = parse_rig(text, "demo_rig.toml")
@@ -135,7 +136,7 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
         f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}."]
 
 
-def _against(kind: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray], names: Sequence[str]) -> str:
+def _against(kind: str, stated: dict[str, FloatArray], actual: dict[str, FloatArray], names: Sequence[str]) -> str:
     worst = int(np.argmax(stated[USUAL]))
     ratio, real = stated[kind] / stated[USUAL], actual[kind] / actual[USUAL]
     return (f"{kind} | {USUAL} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
@@ -149,9 +150,9 @@ def page(seconds: float = 20.0, seeds: int = 8, limits: Sequence[str] = tuple(LI
         yield from section(name, LIMITS[name], seconds, range(1, seeds + 1))
 
 
-EVIDENCE = (
-    Evidence("A designed plan against a chirp of the same length and limits, by refits",
-             "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
-             (r"largest actual error against largest, default design \| \S+ \| \S+",),
-             r"noise seeds (\d+ to \d+)"),)
+EVIDENCE = Evidence(
+    "A designed plan against a chirp of the same length and limits, by refits",
+    "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
+    (r"largest actual error against largest, default design \| \S+ \| \S+",),
+    r"noise seeds (\d+ to \d+)")
 main = program(page)

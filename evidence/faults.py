@@ -64,8 +64,8 @@ def page(only: str = "") -> Lines:
         for name in names))
 
 
-EVIDENCE = (
-    Evidence("Every fault at every moment on virtual time: how long the torque outlives it", "make faults",
-             "faults.md", 10, f"zero torque within {TARGET_MS:g} ms",
-             (r"Median \d+ ms, worst \d+ ms; \d+ of \d+ cells within \d+ ms",)),)
+EVIDENCE = Evidence(
+    "Every fault at every moment on virtual time: how long the torque outlives it", "make faults",
+    "faults.md", 10, f"zero torque within {TARGET_MS:g} ms",
+    (r"Median \d+ ms, worst \d+ ms; \d+ of \d+ cells within \d+ ms",))
 main = program(page)

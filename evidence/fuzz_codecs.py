@@ -63,7 +63,7 @@ def message(rng: Generator, k: int) -> Message:
 def noise(rng: Generator) -> bytes:
     """A frame of random bytes; half of them whole COBS frames of a known type and length, all but the check sum."""
     if rng.random() < 0.5:
-        return rng.bytes(rng.integers(1, 90)) + b"\0"
+        return rng.bytes(int(rng.integers(1, 90))) + b"\0"
     kind, size = [(0x81, 33), (0x82, 18), (0x83, 10), (0x84, 12)][rng.integers(4)]
     payload = bytes([kind]) + rng.bytes(size) + rng.bytes(2)
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
@@ -127,7 +127,7 @@ def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
 
     def broken() -> bytes:
         start = dynamixel.HEADER if rng.random() < 0.5 else b""
-        return start + rng.bytes(rng.integers(1, 90))
+        return start + rng.bytes(int(rng.integers(1, 90)))
 
     return _stream(frames, rng, started, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
         k % 253, dynamixel.Instruction.STATUS, 0, rng.bytes(k % 90)),
@@ -145,9 +145,9 @@ def page(frames: int = 1_000_000, seed: int = 1) -> Lines:
         f"- Dynamixel: {fuzz_dynamixel(frames, seed)}"]
 
 
-EVIDENCE = (
-    Evidence("The host's codecs under broken frames", "python -m evidence fuzz-codecs --frames 10000000",
-             "fuzz.md", 32, "no crash",
-             shares(r"\| (?:serial|CAN) (?:\| [\d ,a-z]+ ){6}\| (\d+) \|", "crashes by codec"),
-             r"10000000`, seed (\d+)"),)
+EVIDENCE = Evidence(
+    "The host's codecs under broken frames", "python -m evidence fuzz-codecs --frames 10000000",
+    "fuzz.md", 32, "no crash",
+    shares(r"\| (?:serial|CAN) (?:\| [\d ,a-z]+ ){6}\| (\d+) \|", "crashes by codec"),
+    r"10000000`, seed (\d+)")
 main = program(page)

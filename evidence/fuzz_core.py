@@ -26,11 +26,11 @@ def build(compiler: str, out: Path) -> Path:
     return out
 
 
-EVIDENCE = (
-    Evidence("The firmware's core under broken frames, with sanitizers", "make fuzz FRAMES=20000000", "fuzz.md", 1,
-             "no crash, no finding, no check that fails",
-             (r"(crashes, findings of a sanitizer, checks that failed) \| (\d+)",), r"--seed (\d+)",
-             resumes="no: a minute"),)
+EVIDENCE = Evidence(
+    "The firmware's core under broken frames, with sanitizers", "make fuzz FRAMES=20000000", "fuzz.md", 1,
+    "no crash, no finding, no check that fails",
+    (r"(crashes, findings of a sanitizer, checks that failed) \| (\d+)",), r"--seed (\d+)",
+    resumes="no: a minute")
 
 
 def page(frames: int = 1_000_000, seed: int = 1) -> Lines:

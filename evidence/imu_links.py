@@ -170,8 +170,8 @@ def page(fits: int = 24, seed: int = 4000, rows: Sequence[str] = tuple(ROWS)) ->
                 *(f"- {text}" for _, troubles in found for text in troubles)]
 
 
-EVIDENCE = (
-    Evidence("IMUs on any links and a subset of encoders: do the intervals hold?", "make imu-links FITS=24",
-             "imu-links.md", 12, "95 % in every row",
-             shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row"), r"[Ss]eeds (\d+ to \d+)"),)
+EVIDENCE = Evidence(
+    "IMUs on any links and a subset of encoders: do the intervals hold?", "make imu-links FITS=24",
+    "imu-links.md", 12, "95 % in every row",
+    shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row"), r"[Ss]eeds (\d+ to \d+)")
 main = program(page)

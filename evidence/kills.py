@@ -247,8 +247,8 @@ def _counts(found: Sequence[Killed]) -> list[tuple[str, int]]:
     return [*Counter(k.outcome for k in found).most_common(), ("faults", sum(bool(k.fault) for k in found))]
 
 
-EVIDENCE = (
-    Evidence("Recordings killed at any moment, and a second process at their devices", "make kills", "kills.md", 90,
-             "no fault", (r"\d+ were killed while they ran", r"\| (faults) \| (\d+)",
-                          r"lost \d+ messages in the median, \d+ at most")),)
+EVIDENCE = Evidence(
+    "Recordings killed at any moment, and a second process at their devices", "make kills", "kills.md", 90,
+    "no fault", (r"\d+ were killed while they ran", r"\| (faults) \| (\d+)",
+                          r"lost \d+ messages in the median, \d+ at most"))
 main = program(page)

@@ -5,16 +5,15 @@ files are taken from the commit that the page names.
 """
 
 import json
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evidence.emulated_legs import label
-from evidence.frame import Lines, new_folder, program, table, tell
+from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
-from evidence.machines import answer, clones, shown, typed
+from evidence.machines import Row, clones, commands_table, shown, timed
 from evidence.registry import Evidence
 
 REPOSITORY, COMMIT = "dfki-ric-underactuated-lab/double_pendulum", "1e8544e67f3da72a51ee52fbbb278e131ce2a43f"
@@ -86,8 +85,7 @@ PAIRS = (
 class Said(NamedTuple):
     """What came of a pair's commands."""
 
-    rows: list[tuple[str, float, int, str]]
-    """Command, seconds, exit status, first line of the answer"""
+    rows: Sequence[Row]
     document: dict[str, Any]
     """The pair in the comparison's JSON; empty without one"""
 
@@ -106,10 +104,7 @@ def compared(pair: Pair, snapshot: Path) -> Said:
         for command in (f"legid import {a}/*.csv --out runs{a} --map columns.toml",
                         f"legid import {b}/*.csv --out runs{b} --map columns.toml",
                         f"legid compare runs{a} runs{b} --rig rig.toml --json compare.json"):
-            began = time.monotonic()
-            done = typed(command, folder)
-            rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            tell(*rows[-1])
+            rows.append(timed(command, folder))
         out = folder / "compare.json"
         return Said(rows, json.loads(out.read_bytes())["pairs"][0] if out.exists() else {})
 
@@ -125,8 +120,7 @@ def page(snapshots: str = "") -> Lines:
     for number, pair in enumerate(PAIRS, 1):
         said = compared(pair, place)
         yield from [f"## {number}. {pair.title}", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}"]
-        yield table("command | s | exit | answer", (
-            (f"`{command}`", f"{seconds:.0f}", status, line) for command, seconds, status, line in said.rows))
+        yield commands_table(said.rows)
         yield table("cause | size | value | 95 % interval", (
             f"{label(cause['effect'], cause['joint'])} | {size['name']} [{size['unit']}] | {size['value']:.3g} | "
             f"{size['ci95'][0]:.3g} to {size['ci95'][1]:.3g}"
@@ -143,7 +137,7 @@ def verdicts(text: str) -> str:
     return "; ".join(one.split(", and something else")[0] for one in said)
 
 
-EVIDENCE = (
-    Evidence("Public records of a machine whose links were changed, and of one built anew",
-             "python -m evidence known-changes", "known-changes.md", 4, "the change is named", verdicts),)
+EVIDENCE = Evidence(
+    "Public records of a machine whose links were changed, and of one built anew",
+    "python -m evidence known-changes", "known-changes.md", 4, "the change is named", verdicts)
 main = program(page)

@@ -10,7 +10,7 @@ from numpy.random import Generator, default_rng
 from scipy.interpolate import CubicSpline
 
 import legid
-from daq import Dataset, Rig, load_rig, parse_rig
+from daq import Dataset, FloatArray, Rig, load_rig, parse_rig
 from daq.runs import write_csv
 from estimator.model import leg2
 from evidence.blind import bench, geared, outside, servo, several_faults, stickslip
@@ -73,16 +73,16 @@ def geared_leg(hidden: str, rng: Generator, folder: Path) -> KnownLeg:
     return read_leg(folder / "leg-0", {name: truth[name] for name in NAMES if name not in FRICTION})
 
 
-def _lumped(runs: Sequence[Mapping[str, np.ndarray]], rotor: float) -> np.ndarray:
+def _lumped(runs: Sequence[Mapping[str, FloatArray]], rotor: float) -> FloatArray:
     """(9,) change of the parameters whose torque over the motion is nearest to that of the knee's rotor."""
-    mechanism, rows, lacking = leg2(), list[np.ndarray](), list[np.ndarray]()
+    mechanism, rows, lacking = leg2(), list[FloatArray](), list[FloatArray]()
     for run in runs:
         t = run["time_s"]
         motion = [CubicSpline(t, run[name]) for name in ("q1_rad", "q2_rad")]
         q, v, a = (np.column_stack([joint(t, k) for joint in motion]) for k in range(3))
         rows.append(mechanism.regressor(q, v, a).reshape(-1, 9))
         lacking.append((a * [0.0, rotor]).ravel())
-    found: np.ndarray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(lacking))[0]
+    found: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(lacking))[0]
     return found
 
 
@@ -96,7 +96,7 @@ def bench_leg(hidden: str, rng: Generator, folder: Path) -> KnownLeg:
     kind = HEALTHY if hidden == HEALTHY else "outside" if hidden in OUTSIDE else "single"
     case = Case(kind, () if hidden == HEALTHY else (hidden,), seed=int(rng.integers(2**31)))
     bench.generate([case], folder, with_ratio=False)
-    truth = json.loads((folder / f"{case.name}.truth.json").read_text(encoding="utf-8"))
+    truth = json.loads((folder / f"{case.name}.truth.json").read_text())
     return read_leg(folder / case.name, truth["parameters"])
 
 
@@ -147,7 +147,7 @@ def answered(leg: Leg, runs: Sequence[Dataset], more: str = "") -> Answered:
     return Answered(fit, inside, str(fit.trust).split("; ")[-1].split(" the ")[0], found, read)
 
 
-def truth_of(beta: Sequence[float] | np.ndarray) -> dict[str, float]:
+def truth_of(beta: Sequence[float] | FloatArray) -> dict[str, float]:
     return dict(zip(NAMES, map(float, beta), strict=True))
 
 

@@ -223,9 +223,9 @@ def _measured(folder: Path, minutes: float, count: int, seed: int) -> Iterator[s
         f"(of {ALONE_S * 100:.0f} in the plan)."]
 
 
-EVIDENCE = (
-    Evidence("The dashboard in a browser: memory, losses, emergency stops", "make live-soak", "live.md", 35,
-             "every stop within 100 ms, no telemetry lost",
-             (r"Median \d+ ms, worst \d+ ms; over 100 ms: \d+", r"telemetry frames, \d+ lost"),
-             resumes="no: a soak is one recording"),)
+EVIDENCE = Evidence(
+    "The dashboard in a browser: memory, losses, emergency stops", "make live-soak", "live.md", 35,
+    "every stop within 100 ms, no telemetry lost",
+    (r"Median \d+ ms, worst \d+ ms; over 100 ms: \d+", r"telemetry frames, \d+ lost"),
+    resumes="no: a soak is one recording")
 main = program(page)

@@ -11,8 +11,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
@@ -26,20 +26,21 @@ LIMIT_S, STOPPED = 600, 124
 """Seconds for one command, and the exit status of one that needs more."""
 
 
-@dataclass
-class Session:
+Row = tuple[str, float, int, str]
+"""Command, seconds, exit status, the sentence that answers."""
+
+
+class Session(NamedTuple):
     """What came of a machine's commands."""
 
-    rows: list[tuple[str, float, int, str]] = field(default_factory=list)
-    """Command, seconds, exit status, the sentence that answers."""
-    parameters: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    rows: Sequence[Row]
+    parameters: dict[str, tuple[float, float, float]]
     """Name -> value and 95 % interval, of those determined."""
-    verdict: str = ""
+    verdict: str
     """The first line of the fit."""
 
 
-@dataclass
-class FreeRun:
+class FreeRun(NamedTuple):
     """Errors over 1 s of one run, by each set of parameters; or what stopped it."""
 
     run: str
@@ -84,21 +85,27 @@ def shown(snapshot: Path, commit: str, path: str) -> bytes:
 @kept
 def session(one: Machine, snapshot: Path) -> Session:
     """Every command of one machine, typed in a new folder."""
-    out = Session()
     with new_folder() as folder:
         unpack(one, snapshot, folder)
-        for command in one.commands:
-            began = time.monotonic()
-            done = typed(command, folder)
-            out.rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            tell(*out.rows[-1])
-        if (folder / "fit.json").exists():
-            fit = json.loads((folder / "fit.json").read_bytes())
-            out.verdict = fit["trust"]["sentence"]
-            for p in fit["parameters"]:
-                if p["value"] is not None and p["ci95"] is not None:
-                    out.parameters[p["name"]] = (p["value"], *p["ci95"])
-    return out
+        rows = [timed(command, folder) for command in one.commands]
+        if not (folder / "fit.json").exists():
+            return Session(rows, {}, "")
+        fit = json.loads((folder / "fit.json").read_bytes())
+    return Session(rows, {p["name"]: (p["value"], *p["ci95"]) for p in fit["parameters"]
+                          if p["value"] is not None and p["ci95"] is not None}, fit["trust"]["sentence"])
+
+
+def timed(command: str, folder: Path) -> Row:
+    began = time.monotonic()
+    done = typed(command, folder)
+    row = command, time.monotonic() - began, done.returncode, answer(command, done)
+    tell(*row)
+    return row
+
+
+def commands_table(rows: Iterable[Row]) -> str:
+    return table("command | s | exit | answer", (
+        (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in rows))
 
 
 @kept
@@ -178,8 +185,7 @@ def page(snapshots: str = "") -> Lines:
     for number, (one, many, runs) in enumerate(zip(MACHINES, found, free), 1):
         by_hand = f"\n# columns.toml, by hand\n{one.columns}" * bool(one.columns)
         yield from [f"## {number}. {one.title}", f"```toml\n{one.rig}{by_hand}```"]
-        yield table("command | s | exit | answer", (
-            (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in many.rows))
+        yield commands_table(many.rows)
         yield table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
                     "widths | within 6 % or not trusted", (
             compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
@@ -218,8 +224,8 @@ def result(text: str) -> str:
             f"the longest session takes {minutes} min")
 
 
-EVIDENCE = (
-    Evidence("Public records of ten machines, from their authors' files to a diagnosis",
-             "python -m evidence machines", "machines.md", 20,
-             "at most five commands and ten minutes each; each value within 6 % or not trusted", result),)
+EVIDENCE = Evidence(
+    "Public records of ten machines, from their authors' files to a diagnosis",
+    "python -m evidence machines", "machines.md", 20,
+    "at most five commands and ten minutes each; each value within 6 % or not trusted", result)
 main = program(page)

@@ -141,7 +141,7 @@ def broken(whole: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(1 if rng.random() < 0.6 else rng.integers(2, 5)):
         if not data:
             break
-        a = rng.integers(len(data))
+        a = int(rng.integers(len(data)))
         b = min(len(data), a + int(2 ** rng.uniform(0, 10)))
         match rng.integers(9):
             case 0:
@@ -164,15 +164,15 @@ def broken(whole: bytes, rng: np.random.Generator) -> bytes:
             case 7:
                 data[a:a] = BRACKETS[rng.integers(len(BRACKETS))] * int(2 ** rng.uniform(0, 17))
             case 8:
-                other = rng.integers(len(data))
+                other = int(rng.integers(len(data)))
                 data[a:b], data[other: other + b - a] = data[other: other + b - a], data[a:b]
     return bytes(data)
 
 
-EVIDENCE = (
-    Evidence("Broken files of 17 formats through their readers", "make mutate", "fuzz.md", 90,
-             "read, or refused in one line", (r"These [\d,]+ files have \d+ faults",), r"with seed (3)",
-             r"seed 3 on (\d{4}-\d\d-\d\d)"),)
+EVIDENCE = Evidence(
+    "Broken files of 17 formats through their readers", "make mutate", "fuzz.md", 90,
+    "read, or refused in one line", (r"These [\d,]+ files have \d+ faults",), r"with seed (3)",
+    r"seed 3 on (\d{4}-\d\d-\d\d)")
 
 
 def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = math.inf, chunk: int = CHUNK,

@@ -9,7 +9,7 @@ import json
 import sqlite3
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,10 @@ NAMES = ("t", "time", "q1", "q2", "log", "", "a.b", "a/b", "#refs#", "__x", "\n[
 NUMBERS = (0, -1, 1, 2**31, 2**63 - 1, 10**30, 0.0, -0.0, 1e308, 1e-320, float("nan"), float("inf"))
 
 
+def pick(rng: Generator, words: Sequence[str]) -> str:
+    return str(rng.choice(words))
+
+
 def some(rng: Generator, most: float, least: float = 0) -> int:
     """A count from 2^least to 2^most, evenly by its logarithm."""
     return int(2 ** rng.uniform(least, most))
@@ -38,7 +42,7 @@ def array(rng: Generator) -> np.ndarray:
     """Of any type and shape, empty ones too; one of 500 is large."""
     most = 7 if rng.random() < 0.002 else 3
     shape = tuple(some(rng, most) if rng.random() < 0.9 else 0 for _ in range(rng.integers(0, 4)))
-    kind = str(rng.choice(TYPES))
+    kind = pick(rng, TYPES)
     values = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
     with np.errstate(all="ignore"):
         return np.asarray(values).astype("i8").astype(kind) if kind[0] in "mMSU" else np.asarray(values).astype(kind)
@@ -49,7 +53,7 @@ def tree(rng: Generator, depth: int = 0) -> Any:
     kind = rng.integers(7) if depth < 6 else 6
     count = some(rng, 3 if depth else 4)
     if kind < 2:
-        return {str(rng.choice(NAMES)): tree(rng, depth + 1) for _ in range(count)}
+        return {pick(rng, NAMES): tree(rng, depth + 1) for _ in range(count)}
     if kind == 2:
         return [tree(rng, depth + 1) for _ in range(count)]
     if kind == 3:
@@ -75,7 +79,7 @@ def make_npz(rng: Generator, path: Path) -> None:
         for k in range(rng.integers(1, 6)):
             data = io.BytesIO()
             np.lib.format.write_array(data, array(rng), allow_pickle=False)
-            archive.writestr(str(rng.choice(NAMES)) + f"{k}.npy", data.getvalue())
+            archive.writestr(pick(rng, NAMES) + f"{k}.npy", data.getvalue())
 
 
 def make_mat(rng: Generator, path: Path) -> None:
@@ -100,9 +104,9 @@ def make_hdf5(rng: Generator, path: Path) -> None:
                 case 2:
                     group[name] = groups[rng.integers(len(groups))]  # circles, too
                 case 3:
-                    group[name] = h5py.SoftLink(str(rng.choice(["/", "/n0", "..", "/nothing", "."])))
+                    group[name] = h5py.SoftLink(pick(rng, ["/", "/n0", "..", "/nothing", "."]))
                 case 4:
-                    group[name] = h5py.ExternalLink(str(rng.choice(["other.h5", "/etc/passwd", path.name])), "/n0")
+                    group[name] = h5py.ExternalLink(pick(rng, ["other.h5", "/etc/passwd", path.name]), "/n0")
                 case 5:
                     most = 40 if rng.random() < 0.1 else 16
                     group.create_dataset(name, (some(rng, most),), "f8", chunks=(1024,),
@@ -120,19 +124,19 @@ def make_parquet(rng: Generator, path: Path) -> None:
     for k in range(rng.integers(1, 8)):
         values = np.resize(array(rng).ravel(), n) if rng.random() < 0.8 else np.zeros(n)
         plain = values.real.astype("f8") if values.dtype.kind == "c" else values.tolist()
-        columns[str(rng.choice(NAMES)) + str(k)] = pa.array(plain)
-    parquet.write_table(pa.table(columns), path, compression=str(rng.choice(["none", "zstd", "snappy", "gzip"])))
+        columns[pick(rng, NAMES) + str(k)] = pa.array(plain)
+    parquet.write_table(pa.table(columns), path, compression=pick(rng, ["none", "zstd", "snappy", "gzip"]))
 
 
 def make_text(rng: Generator, path: Path) -> None:
-    separator = str(rng.choice([",", ";", "\t", "|", " "]))
+    separator = pick(rng, [",", ";", "\t", "|", " "])
     odd = ["1", "1,5", "2.5e300", "", "nan", '"', "'", "word", "-", "1_0", "é", "0x1"]
-    rows = [[str(rng.choice(odd)) if rng.random() < 0.1 else f"{rng.standard_normal():.4f}"
+    rows = [[pick(rng, odd) if rng.random() < 0.1 else f"{rng.standard_normal():.4f}"
              for _ in range(rng.integers(1, 9) if rng.random() < 0.05 else 5)]
             for _ in range(some(rng, 8, 1))]
-    head = [separator.join(str(rng.choice(NAMES)) for _ in range(5)) for _ in range(rng.integers(0, 4))]
+    head = [separator.join(pick(rng, NAMES) for _ in range(5)) for _ in range(rng.integers(0, 4))]
     text = "\n".join([*head, *(separator.join(row) for row in rows)])
-    path.write_bytes(text.encode(str(rng.choice(["utf-8", "utf-16", "cp1252"])), "replace"))
+    path.write_bytes(text.encode(pick(rng, ["utf-8", "utf-16", "cp1252"]), "replace"))
 
 
 def make_can(rng: Generator, path: Path) -> None:
@@ -140,8 +144,8 @@ def make_can(rng: Generator, path: Path) -> None:
     lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
     for k in range(some(rng, 8, 1)):
         number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else rng.integers(2**29)
-        size = 8 if rng.random() < 0.9 else rng.integers(0, 9)
-        mark = str(rng.choice(["##1", "#R", "##", ""])) if rng.random() < odd else "#"
+        size = 8 if rng.random() < 0.9 else int(rng.integers(0, 9))
+        mark = pick(rng, ["##1", "#R", "##", ""]) if rng.random() < odd else "#"
         code = f"{number:03X}" if number < 0x800 else f"{number:08X}"
         data = rng.bytes(size).hex().upper()
         lines.append(f"({1e9 + k * 0.01:.6f}) can{rng.integers(3)} {code}{mark}{data}")
@@ -171,11 +175,11 @@ def make_db3(rng: Generator, path: Path) -> None:
 def make_urdf(rng: Generator, path: Path) -> None:
     """Joints between any links: chains, trees, circles."""
     n, odd = rng.integers(1, 6), 0.3 if rng.random() < 0.5 else 0.0
-    names = [str(rng.choice(NAMES)) if rng.random() < odd else f"l{k}" for k in range(n + 1)]
+    names = [pick(rng, NAMES) if rng.random() < odd else f"l{k}" for k in range(n + 1)]
     quoted = [name.replace("\n", "&#10;").replace("<", "") for name in names]
     links = "".join(f'<link name="{q}"><inertial><mass value="{number(rng, odd)}"/><inertia ixx="1" izz="1" ixy="0" '
                     f'ixz="0" iyz="0" iyy="{number(rng, odd)}"/></inertial></link>' for q in quoted)
-    ends = [(quoted[k], quoted[k + 1]) if rng.random() >= odd else (str(rng.choice(quoted)), str(rng.choice(quoted)))
+    ends = [(quoted[k], quoted[k + 1]) if rng.random() >= odd else (pick(rng, quoted), pick(rng, quoted))
             for k in range(n)]
     joints = "".join(f'<joint name="j{k}" type="continuous"><parent link="{a}"/><child link="{b}"/><axis xyz="0 1 0"/>'
                      f'<origin xyz="0 0 -0.3" rpy="{number(rng, odd)} 0 0"/></joint>' for k, (a, b) in enumerate(ends))
@@ -184,7 +188,7 @@ def make_urdf(rng: Generator, path: Path) -> None:
 
 def number(rng: Generator, odd: float) -> str:
     """1, or with probability `odd` something else."""
-    return str(rng.choice(["0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""])) if rng.random() < odd else "1"
+    return pick(rng, ["0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""]) if rng.random() < odd else "1"
 
 
 def make_mjcf(rng: Generator, path: Path) -> None:
@@ -201,7 +205,7 @@ def make_mjcf(rng: Generator, path: Path) -> None:
         head += f'<include file="{rng.choice(extra["include"])}"/>'
     inner = ""
     for k in range(rng.integers(1, 5)):
-        kind = str(rng.choice(["slide", "ball", "free", "x"])) if rng.random() < odd else "hinge"
+        kind = pick(rng, ["slide", "ball", "free", "x"]) if rng.random() < odd else "hinge"
         shape = f'<inertial pos="0 0 -{number(rng, odd)}" mass="1" diaginertia="1 1 1"/>'
         if rng.random() < odd:
             form = rng.choice(["sphere", "capsule", "box", "mesh", "plane"])
@@ -215,7 +219,7 @@ def make_mjcf(rng: Generator, path: Path) -> None:
 
 def quoted_name(rng: Generator, odd: float, k: int) -> str:
     """Of a body, for an attribute."""
-    return str(rng.choice(NAMES)).replace("\n", "&#10;") + str(k) if rng.random() < odd else f"b{k}"
+    return pick(rng, NAMES).replace("\n", "&#10;") + str(k) if rng.random() < odd else f"b{k}"
 
 
 def read_bodies(path: Path) -> None:

@@ -13,10 +13,10 @@ from tests.support.nth_fault import DRIVES, FAULTS, SECONDS, Ended, strike
 
 DISK = ("write", "flush", "sync")
 TARGET_MS = 110.0
-EVIDENCE = (
-    Evidence("The Nth write, flush, sync, read or allocation of a recording fails", "make nth-fault", "nth-fault.md",
-             180, f"zero torque within {TARGET_MS:g} ms, file readable to its last flush, cause named",
-             (r"[\d,]+ faults", r"worst time to zero torque [\d.]+ ms", r"\d+ not named, \d+ not readable")),)
+EVIDENCE = Evidence(
+    "The Nth write, flush, sync, read or allocation of a recording fails", "make nth-fault", "nth-fault.md",
+    180, f"zero torque within {TARGET_MS:g} ms, file readable to its last flush, cause named",
+    (r"[\d,]+ faults", r"worst time to zero torque [\d.]+ ms", r"\d+ not named, \d+ not readable"))
 
 
 @kept

@@ -89,7 +89,7 @@ def page(legs: int = 50, minutes: float = 30.0) -> Lines:
         + ("{:.3g} ({:.3g} to {:.3g})".format(*one.found) if one.found else "-") for one in rows))
 
 
-EVIDENCE = (
-    Evidence("Payloads at random places of link 2: is the mass within its interval?", "make payloads", "payloads.md",
-             20, "93 to 97 %", (r"(mass within its 95 % interval) \| ([^|]*\))",)),)
+EVIDENCE = Evidence(
+    "Payloads at random places of link 2: is the mass within its interval?", "make payloads", "payloads.md",
+    20, "93 to 97 %", (r"(mass within its 95 % interval) \| ([^|]*\))",))
 main = program(page)

@@ -116,8 +116,8 @@ def _time(cell: Outcome | None) -> str:
     return "on" if cell.driven_on else f"{cell.zero_ms:.0f}{'*' if cell.clock == 'emulator' else ''}"
 
 
-EVIDENCE = (
-    Evidence("Every fault of the example board's line, program and board, in real time", "make port-faults",
-             "port-faults.md", 15, f"zero torque within {TARGET_MS:g} ms",
-             (r"torque zero after \d+ ms in the median, \d+ ms at most; \d+ within \d+ ms",)),)
+EVIDENCE = Evidence(
+    "Every fault of the example board's line, program and board, in real time", "make port-faults",
+    "port-faults.md", 15, f"zero torque within {TARGET_MS:g} ms",
+    (r"torque zero after \d+ ms in the median, \d+ ms at most; \d+ within \d+ ms",))
 main = program(page)

@@ -81,7 +81,8 @@ def programs() -> dict[str, ModuleType]:
 
 def evidence() -> dict[str, tuple[Evidence, ...]]:
     """Name on the command line -> what that program measures."""
-    return {name: module.EVIDENCE for name, module in programs().items()}
+    found = {name: module.EVIDENCE for name, module in programs().items()}
+    return {name: (one,) if isinstance(one, Evidence) else one for name, one in found.items()}
 
 
 def index() -> str:

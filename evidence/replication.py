@@ -138,7 +138,7 @@ def page(runs: int = 200) -> Lines:
         f"- Reached by no choice of this search: {', '.join(missing) if missing else 'none'}."]
 
 
-EVIDENCE = (
-    Evidence("Table III of the paper under the protocol that its figures are nearest to", "make replication",
-             "replication.md", 13, "12 of 16 means within 25 % of the paper", (r"(\d+ of 16 means)",)),)
+EVIDENCE = Evidence(
+    "Table III of the paper under the protocol that its figures are nearest to", "make replication",
+    "replication.md", 13, "12 of 16 means within 25 % of the paper", (r"(\d+ of 16 means)",))
 main = program(page)

@@ -140,8 +140,8 @@ def page(fits: int = 24) -> Lines:
     yield table("record | parameter | mean | scatter | by run", (line for _, lines in rows for line in lines))
 
 
-EVIDENCE = (
-    Evidence("Runs that differ: coverage of intervals that allow for it", "make runs FITS=24", "runs.md", 15,
-             "95 % in every row",
-             shares(r"\| \d+/\d+ \| \d+ \| \d+ % \(\d+ %\) \| (\d+) % \(", "% of the intervals hold, by row")),)
+EVIDENCE = Evidence(
+    "Runs that differ: coverage of intervals that allow for it", "make runs FITS=24", "runs.md", 15,
+    "95 % in every row",
+    shares(r"\| \d+/\d+ \| \d+ \| \d+ % \(\d+ %\) \| (\d+) % \(", "% of the intervals hold, by row"))
 main = program(page)

@@ -51,9 +51,9 @@ def mrad(errors: Iterable[float]) -> Iterator[str]:
     return (f"{1e3 * one:.3g} mrad" for one in errors)
 
 
-EVIDENCE = (Evidence(
+EVIDENCE = Evidence(
     "Friction laws of servos, fitted to the same runs: what do they leave on runs that none has seen?",
     "make servo-laws", "servo-laws.md", 4,
     "at most that of BAM's best law, fitted to the same runs",
-    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, mle: and directional[^|]*\| [^|]*\| [^|]*)\|")),)
+    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, mle: and directional[^|]*\| [^|]*\| [^|]*)\|"))
 main = program(page)

@@ -225,7 +225,7 @@ def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str
             loops.append(values(*given))
         else:
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
-        tell(kind, given, {"fit": gains, "values": loops, "diagnosis": answers}[kind][-1:])
+        tell(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:])
     yield from [
         "# Servos: legs that follow a command",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
@@ -324,8 +324,8 @@ def _result(text: str) -> str:
     return "; ".join(found)
 
 
-EVIDENCE = (Evidence(
+EVIDENCE = Evidence(
     "Legs behind position loops, without a torque: do intervals hold, are hidden causes found, and a real servo's?",
     "make servos", "servos.md", 15, "intervals 93 to 97 %; in the answer 90 %, wrong 3 %, healthy 98 %; the servo's "
-    "faults 70 %", _result),)
+    "faults 70 %", _result)
 main = program(page)

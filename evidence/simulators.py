@@ -137,7 +137,7 @@ def page(legs: int = 3) -> Lines:
                 "MJX is compared with MuJoCo by tests/experiments/simulators/test_mjx.py, where it is installed."]
 
 
-EVIDENCE = (
-    Evidence("Exported models in MuJoCo against `legid simulate`: each effect, ten pairs", "make simulators",
-             "simulators.md", 8, "below 1 mrad in 5 s", (r"Largest of all: [\d.]+ mrad",)),)
+EVIDENCE = Evidence(
+    "Exported models in MuJoCo against `legid simulate`: each effect, ten pairs", "make simulators",
+    "simulators.md", 8, "below 1 mrad in 5 s", (r"Largest of all: [\d.]+ mrad",))
 main = program(page)

@@ -22,6 +22,13 @@ from evidence.rigs import losses, record_real, record_virtual
 from tests.support.c_firmware import Served
 
 PROGRESS = struct.Struct("<QQ")  # messages handed over, host time of the last [ns]
+TIME = struct.Struct("<Q")
+KEPT = 4096
+"""Of the last times, behind the progress."""
+
+
+def place_of(message: int) -> int:
+    return PROGRESS.size + TIME.size * (message % KEPT)
 
 
 def soak_virtual(folder: Path, seconds: float) -> dict[str, int]:
@@ -67,8 +74,8 @@ def record_and_note(path: Path, port: str, progress: mmap.mmap) -> None:
         put(self, topic, host_ns, *values, sequence=sequence)
         times.append(time.monotonic_ns())
         at = len(times)
-        progress[16 + 8 * (at % 4096): 24 + 8 * (at % 4096)] = struct.pack("<Q", times[-1])
-        progress[:16] = PROGRESS.pack(at, times[-1])
+        TIME.pack_into(progress, place_of(at), times[-1])
+        PROGRESS.pack_into(progress, 0, at, times[-1])
 
     QueuedSink.add = add  # type: ignore[method-assign]
     record_real(path, port, 60.0)
@@ -77,7 +84,7 @@ def record_and_note(path: Path, port: str, progress: mmap.mmap) -> None:
 def kill_one(folder: Path, k: int, port: str, rng: np.random.Generator) -> Killed:
     """Fork a recorder, kill it at a random time, recover its file."""
     path = folder / f"k{k}.mcap"
-    progress = mmap.mmap(-1, 16 + 8 * 4096)
+    progress = mmap.mmap(-1, PROGRESS.size + TIME.size * KEPT)
     child = os.fork()
     if child == 0:
         try:
@@ -85,22 +92,20 @@ def kill_one(folder: Path, k: int, port: str, rng: np.random.Generator) -> Kille
         finally:
             os._exit(1)
     deadline = time.monotonic() + 30
-    while PROGRESS.unpack(progress[:16])[0] < 1 and time.monotonic() < deadline:
+    while PROGRESS.unpack_from(progress)[0] < 1 and time.monotonic() < deadline:
         time.sleep(0.005)
     time.sleep(rng.uniform(0.02, 2.5))
     os.kill(child, signal.SIGKILL)
     killed_ns = time.monotonic_ns()
     os.waitpid(child, 0)
-    handed, _ = PROGRESS.unpack(progress[:16])
+    handed, _ = PROGRESS.unpack_from(progress)
     out = path.with_suffix(".recovered.mcap")
     report = recover(path, out)
     raw = read_run(out)
     streams = sum(map(len, raw.streams.values()))
     oldest = 0.0
     if streams < handed:
-        at = streams + 1
-        (put_ns,) = struct.unpack("<Q", progress[16 + 8 * (at % 4096): 24 + 8 * (at % 4096)])
-        oldest = (killed_ns - put_ns) * 1e-9
+        oldest = (killed_ns - TIME.unpack_from(progress, place_of(streams + 1))[0]) * 1e-9
     found = losses(raw)
     whole = raw.complete and report.messages == raw.messages and not (
         found["imu_doubled"] or found["frames_doubled"] or found["imu_torn"])
@@ -151,9 +156,9 @@ def _losses(found: dict[str, int]) -> str:
             f"{found['frames_doubled']} doubled.")
 
 
-EVIDENCE = (
-    Evidence("Long recordings, kills, broken frames and the controller's clock", "make soak", "soak.md", 13,
-             "no sample lost, no file lost, at most 250 messages missing after a kill",
-             (r"\d+ IMU samples: \d+ lost", r"\d+ files recovered whole", r"Beyond \d+ messages and 1 s: \d+ files"),
-             resumes="no: a soak is one recording"),)
+EVIDENCE = Evidence(
+    "Long recordings, kills, broken frames and the controller's clock", "make soak", "soak.md", 13,
+    "no sample lost, no file lost, at most 250 messages missing after a kill",
+    (r"\d+ IMU samples: \d+ lost", r"\d+ files recovered whole", r"Beyond \d+ messages and 1 s: \d+ files"),
+    resumes="no: a soak is one recording")
 main = program(page)

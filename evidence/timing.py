@@ -130,8 +130,8 @@ def _row(a: Answer) -> str:
             f"{delay}")
 
 
-EVIDENCE = (
-    Evidence("Holds, delays and rates of a controller and its log: are healthy legs left alone, and delays right?",
-             "make timing", "timing.md", 60, "98 % of healthy legs none, 90 % of delays named, to 0.05 samples",
-             (r"Healthy legs that end (`none`: [^(]* %)", r"delays that are (named: [^(]* %)", r"ms, (\S+ samples)")),)
+EVIDENCE = Evidence(
+    "Holds, delays and rates of a controller and its log: are healthy legs left alone, and delays right?",
+    "make timing", "timing.md", 60, "98 % of healthy legs none, 90 % of delays named, to 0.05 samples",
+    (r"Healthy legs that end (`none`: [^(]* %)", r"delays that are (named: [^(]* %)", r"ms, (\S+ samples)"))
 main = program(page)

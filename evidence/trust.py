@@ -238,9 +238,9 @@ def _short(sentence: str) -> str:
     return sentence.split("; ")[-1].split(":")[0].split(". ")[0].rstrip(".")
 
 
-EVIDENCE = (
-    Evidence("Of fits that say TRUST, how many parameters are within their intervals?", "make trust", "trust-rates.md",
-             60, "95 % of those of trusted fits",
-             tuple(rf"({which}) \| \d+ \| [^|]*\| ([^|]*\))"
-                   for which in ("in all, no effect", "in all, hidden effect", "in all"))),)
+EVIDENCE = Evidence(
+    "Of fits that say TRUST, how many parameters are within their intervals?", "make trust", "trust-rates.md",
+    60, "95 % of those of trusted fits",
+    tuple(rf"({which}) \| \d+ \| [^|]*\| ([^|]*\))"
+                   for which in ("in all, no effect", "in all, hidden effect", "in all")))
 main = program(page)

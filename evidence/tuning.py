@@ -106,8 +106,8 @@ def _row(one: Tuned) -> str:
             f"{1e3 * one.late_s:.2f} | {1e3 * one.errors[0]:.1f}, {1e3 * one.errors[1]:.1f} | {gains}")
 
 
-EVIDENCE = (
-    Evidence("Does `legid tune` find rate, hold and delay of a record from a rig file with others?",
-             "make tuning", "tuning.md", 20, "rate and hold of 18 of 20 records",
-             (r"Rate, and hold with delay to 0.1 samples: ([^(]* %)", r"after over before: (\S+)\.")),)
+EVIDENCE = Evidence(
+    "Does `legid tune` find rate, hold and delay of a record from a rig file with others?",
+    "make tuning", "tuning.md", 20, "rate and hold of 18 of 20 records",
+    (r"Rate, and hold with delay to 0.1 samples: ([^(]* %)", r"after over before: (\S+)\."))
 main = program(page)

@@ -144,12 +144,13 @@ def cases() -> Iterator[Case]:
         by, said = ARM_SPOILS[what]
         yield "arm A.0", what, ARM, [spoilt(run, by) for run in a0], said
     yield "arm A.0", "a file of the other arm", ARM, [*a0, replace(c0[0], name="other.csv")], "other.csv is set aside"
-    still = spoilt(a0[3], lambda d: {"q2_rad": np.full(len(d), 0.3)})
-    yield "arm A.0", "q2 stuck in one run", ARM, [*a0[:3], still], f"{still.name} is set aside: joint 2 never moves"
-    stuck = spoilt(a0[3], lambda d: {"tau1_nm": np.full(len(d), 0.4)})
-    yield "arm A.0", "a torque stuck in one run", ARM, [*a0[:3], stuck], "tau1_nm never changes"
-    turned = spoilt(a0[3], negated("tau2_nm"))
-    yield "arm A.0", "torque negated in one run", ARM, [*a0[:3], turned], f"{turned.name} is set aside"
+    last = a0[3].name
+    in_one: tuple[tuple[str, Spoil, str], ...] = (
+        ("q2 stuck", lambda d: {"q2_rad": np.full(len(d), 0.3)}, f"{last} is set aside: joint 2 never moves"),
+        ("a torque stuck", lambda d: {"tau1_nm": np.full(len(d), 0.4)}, "tau1_nm never changes"),
+        ("torque negated", negated("tau2_nm"), f"{last} is set aside"))
+    for what, by, said in in_one:
+        yield "arm A.0", f"{what} in one run", ARM, [*a0[:3], spoilt(a0[3], by)], said
     emps = raw("emps", ("estimation",), parse_rig(RECORDS["emps"].rig))
     yield "axis", "force negated", RECORDS["emps"].rig, [spoilt(emps[0], negated("tau1_n"))], "tau1_n looks negated"
     bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), parse_rig(servo))
@@ -206,8 +207,8 @@ def page(only: Sequence[str] = tuple(RECORDS)) -> Lines:
     yield table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
 
 
-EVIDENCE = (
-    Evidence("Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
-             "every spoilt set-up named with its remedy, none converges silently",
-             (r"\d+ of \d+ variants are named with the right remedy or run",)),)
+EVIDENCE = Evidence(
+    "Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
+    "every spoilt set-up named with its remedy, none converges silently",
+    (r"\d+ of \d+ variants are named with the right remedy or run",))
 main = program(page)

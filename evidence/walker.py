@@ -278,9 +278,9 @@ def page(fits: int = 24, cases: int = 10, seed: int = 7000) -> Lines:
         for c in (*ill, *healthy)))
 
 
-EVIDENCE = (
-    Evidence("Twenty steps of a walker: touchdowns, fits, free runs, diagnoses", "make walker", "walker.md", 30,
-             "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
-             (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
-              r"nothing named: \d+ of \d+ healthy walkers")),)
+EVIDENCE = Evidence(
+    "Twenty steps of a walker: touchdowns, fits, free runs, diagnoses", "make walker", "walker.md", 30,
+    "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
+    (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
+              r"nothing named: \d+ of \d+ healthy walkers"))
 main = program(page)

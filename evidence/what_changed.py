@@ -223,11 +223,10 @@ def page(minutes: float = 60.0) -> Lines:
         reached = [row for row in own if row[1].verdict != "out of reach"]
         verdicts = [answer.verdict for _, answer in reached]
         sizes = [answer.size for _, answer in reached]
-        put = [f"{ratio:g}", f"{min(sizes):.2g} to {max(sizes):.2g}" if sizes else "-", counted(reached)]
-        if fault == UNTOUCHED:
-            put = ["-"] * 3
-        lines.append((record, fault, *put, counted(reached, True), verdicts.count("changed_unexplained"),
-                      verdicts.count("no_change"), len(own) - len(reached)))
+        put = f"{ratio:g} | {f'{min(sizes):.2g} to {max(sizes):.2g}' if sizes else '-'} | {counted(reached)}"
+        lines.append(f"{record} | {fault} | {'- | - | -' if fault == UNTOUCHED else put} | {counted(reached, True)} | "
+                     f"{verdicts.count('changed_unexplained')} | {verdicts.count('no_change')} | "
+                     f"{len(own) - len(reached)}")
     yield table("record | fault | ratio | sizes | in the answer | wrong names | `changed_unexplained` | "
                 "`no_change` | out of reach", lines)
     largest = ", ".join(f"`{fault}` {size:g}{unit}" for (fault, size), unit in zip(
@@ -242,9 +241,9 @@ def page(minutes: float = 60.0) -> Lines:
         "at ratio 4."]
 
 
-EVIDENCE = (
-    Evidence("What changed on real machines: untouched sessions, and faults in the later runs", "make changed",
-             "what-changed.md", 25, "95 % `no_change`, 80, 90 and 95 % of faults in the answer by ratio",
-             (r"untouched sessions (`no_change`) [| ]*(\d+ of \d+)",
-              r"fault (in the answer)(?: \| \d+ of \d+){3} \| (\d+ of \d+)")),)
+EVIDENCE = Evidence(
+    "What changed on real machines: untouched sessions, and faults in the later runs", "make changed",
+    "what-changed.md", 25, "95 % `no_change`, 80, 90 and 95 % of faults in the answer by ratio",
+    (r"untouched sessions (`no_change`) [| ]*(\d+ of \d+)",
+              r"fault (in the answer)(?: \| \d+ of \d+){3} \| (\d+ of \d+)"))
 main = program(page)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from daq import FloatArray
 from daq.runs import write_csv
 from estimator.fitting.fit import fit
 from estimator.likelihood.latent_problem import PIECE
@@ -27,12 +28,12 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}
 
 def best_of(action: Callable[[], object], times: int) -> float:
     """Least seconds of a few runs: what others do on the machine only ever adds."""
-    found = np.inf
-    for _ in range(times):
+    def once() -> float:
         watch = Watch()
         action()
-        found = min(found, watch.seconds())
-    return float(found)
+        return watch.seconds()
+
+    return min(once() for _ in range(times))
 
 
 def peak_memory_mb() -> float:
@@ -44,7 +45,7 @@ def peak_memory_mb() -> float:
     return float(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
-def by_kernels(c: Collocation, motion: Motion, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_kernels(c: Collocation, motion: Motion, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Regressor and slopes as the fit has them."""
     return c.fast(*motion, beta)
 

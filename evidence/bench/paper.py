@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from daq import FloatArray
 from estimator.fitting.mle_free import FreeProblem, build_problem, first_latents
 from estimator.signals.segments import split_signals
 from evidence.bench.record import OPTIONS, Recorded, Watch
@@ -25,9 +26,9 @@ def evaluations(latents: int) -> int:
     return 1 + 2 * latents + 2 * latents * (latents - 1)
 
 
-def newton(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, int]:
+def newton(problem: FreeProblem, w: FloatArray) -> tuple[FloatArray, int]:
     """Latents at the minimum, and steps."""
-    def s(at: np.ndarray) -> float:
+    def s(at: FloatArray) -> float:
         r = problem.residual(at)
         return float(r @ r)
 
@@ -47,7 +48,7 @@ def newton(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, int]:
     return w, steps
 
 
-def _at(s: Callable[[np.ndarray], float], w: np.ndarray, *moves: tuple[int, float]) -> float:
+def _at(s: Callable[[FloatArray], float], w: FloatArray, *moves: tuple[int, float]) -> float:
     for i, by in moves:
         w[i] += by
     value = s(w)

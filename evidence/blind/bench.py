@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,14 +62,13 @@ class _Reference:
     """(13, runs, 4, N)"""
 
 
-@dataclass
-class _Signals:
-    """Torques of every lane, (N,) each: all runs of the first case, then of the next."""
+class _Signals(NamedTuple):
+    """Torques of every lane, (L, N) each: all runs of the first case, then of the next."""
 
-    shown: list[Array]
-    noise: list[Array]
-    process: list[Array]
-    pivot: list[Array]
+    shown: Array
+    noise: Array
+    process: Array
+    pivot: Array
 
 
 def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step: float = 5e-4,
@@ -81,12 +80,10 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
     grid = np.arange(samples) / RATE_HZ
     rigs = [draw_case(case, strengths()) for case in cases]
     _scale(rigs, grid)
-    signals = _Signals([], [], [], [])
-    for rig, torque in ((one, torque) for one in rigs for torque in one.torques):
-        signals.shown.append(torque.at(grid, rig.scale))
-        signals.noise.append(rig.sensors.torque * rig.noise.normal(size=samples))
-        signals.process.append(coloured(rig.noise, samples, rig.sensors.process, rig.sensors.process_time))
-        signals.pivot.append(coloured(rig.noise, samples, rig.sensors.pivot, rig.sensors.process_time))
+    lanes = [(torque.at(grid, rig.scale), rig.sensors.torque * rig.noise.normal(size=samples),
+              *(coloured(rig.noise, samples, rms, rig.sensors.process_time)
+                for rms in (rig.sensors.process, rig.sensors.pivot))) for rig in rigs for torque in rig.torques]
+    signals = _Signals(*np.array(lanes).transpose(1, 0, 2))
     references = _refer(rigs, signals) if with_ratio else []
     if with_ratio:
         _size(rigs, signals, grid, references)
@@ -100,26 +97,19 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
 
 def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid: Array, step: float) -> Motion:
     """Integrate the runs of the chosen cases with what is hidden in them."""
-    legs, torque, pivot, session, fast = list[Leg](), list[Array](), list[Array](), list[float](), list[int]()
-    extra: dict[str, list[float]] = {}
-    for i in chosen:
+    lanes = [(i, run) for i in chosen for run in range(RUNS)]
+    source = [i * RUNS + run for i, run in lanes]
+    legs, torque, extra = list[Leg](), list[Array](), dict[str, Array]()
+    for lane, (i, run) in enumerate(lanes):
         rig = rigs[i]
-        plant = {key: value for effect in rig.hidden for key, value in effect.plant.items()}
-        for run in range(RUNS):
-            lane = len(legs)
-            factor = {k: v for h in rig.hidden for k, v in h.leg.items()} if run >= RUNS // 2 else {}
-            legs.append(replace(rig.leg, **{k: getattr(rig.leg, k) * v for k, v in factor.items()}))
-            source = i * RUNS + run
-            torque.append(_acting(rig, run, signals.shown[source], grid) + signals.process[source])
-            pivot.append(signals.pivot[source])
-            session.append(float(rig.session[run]))
-            if any("skew" in h.sense for h in rig.hidden):
-                fast.append(lane)
-            for key, value in plant.items():
-                extra.setdefault(key, [0.0] * (RUNS * len(chosen)))[lane] = value
-    return integrate(stack(legs), np.array(torque).T, pivot=np.array(pivot).T, step=step,
-                     extra={k: np.array(v) for k, v in extra.items()}, session=np.array(session),
-                     fast=np.array(fast, int))
+        factor = {k: v for h in rig.hidden for k, v in h.leg.items()} if run >= RUNS // 2 else {}
+        legs.append(replace(rig.leg, **{k: getattr(rig.leg, k) * v for k, v in factor.items()}))
+        torque.append(_acting(rig, run, signals.shown[source[lane]], grid) + signals.process[source[lane]])
+        for key, value in (one for h in rig.hidden for one in h.plant.items()):
+            extra.setdefault(key, np.zeros(len(lanes)))[lane] = value
+    late = [lane for lane, (i, _) in enumerate(lanes) if any("skew" in h.sense for h in rigs[i].hidden)]
+    return integrate(stack(legs), np.array(torque).T, pivot=signals.pivot[source].T, step=step, extra=extra,
+                     session=np.array([rigs[i].session[run] for i, run in lanes]), fast=np.array(late, int))
 
 
 def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference], rounds: int = 3) -> None:
@@ -159,7 +149,7 @@ def _log_excess(ratio: float) -> float:
 def _refer(rigs: list[DrawnCase], signals: _Signals) -> list[_Reference]:
     """The plain reference of each case. Only a ratio hangs on them: a coarser step will do."""
     count = len(rigs) * RUNS
-    shown, noise, process, pivot = (np.array(x) for x in (signals.shown, signals.noise, signals.process, signals.pivot))
+    shown, noise, process, pivot = signals
     legs = [rig.leg for rig in rigs for _ in range(RUNS)]
     motion = integrate(stack(legs * 2), np.concatenate([shown + noise, shown + process]).T,
                        pivot=np.concatenate([np.zeros_like(shown), pivot]).T, step=1e-3)
@@ -198,5 +188,5 @@ def _written(rig: DrawnCase, index: int, motion: Motion, signals: _Signals, meas
     write_rig(folder / "rig.toml", rig.sensors)
     for run, (columns, noise) in enumerate(zip(measured, signals.noise[lanes]), 1):
         write_run(folder / f"r{run}.csv", disturb(columns, noise, rig.sensors, rig.noise))
-    (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
+    (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1))
     return truth

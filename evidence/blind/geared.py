@@ -7,8 +7,7 @@ ordinary strength may be added, of the library or not. Semi-implicit Euler at 40
 IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from evidence.blind.servo import (
     SECONDS,
     Readings,
     draw,
+    of_case,
     off_centre,
     reference,
     truth_of,
@@ -42,42 +42,43 @@ SMALL = {"gyro_bias": 1e-3, "gyro_scale": 2e-3, "accel_bias": 0.01, "tilt": 1.5e
 """Standard deviations of what a calibrated rig keeps [SI]."""
 
 
-@dataclass
-class Hidden:
-    """One effect beside the small ones: strengths of laws, and of faults in what is logged."""
+OF_ORDINARY_STRENGTH = {
+    "none_wandering": ("wander", 0.012),
+    "joint_stiffness": ("spring", 0.35),
+    "quadratic_drag": ("drag", 0.03),
+    "asymmetric_friction": ("asymmetry", 0.08),
+    "torque_ripple": ("ripple", 0.08),
+    "stribeck_friction": ("stribeck", 0.15),
+    "load_dependent_friction": ("load", 0.12),
+    "torque_saturation": ("saturation", 0.4),
+    "torque_offset": ("torque_offset", 0.06),
+    "torque_delay": ("delay", 6e-3),
+    "sensor_time_skew": ("skew", 4e-3),
+    "gyro_bias": ("gyro_bias", 0.03),
+    "gyro_scale": ("gyro_scale", 0.03),
+    "accelerometer_bias": ("accel_bias", 0.25),
+    "imu_misalignment": ("tilt", 0.03),
+    "encoder_offset": ("encoder_offset", 0.03),
+    "encoder_eccentricity": ("eccentricity", 0.04),
+    # no effect of the library does these
+    "outside_cubic_spring": ("cubic", 0.5),
+    "outside_patchy_friction": ("patchy", 0.12),
+    "outside_magnet": ("magnet", 0.2),
+    "outside_cable_hysteresis": ("boucwen", 0.06),
+    "outside_swinging_mass": ("slosh", 0.05),
+    "outside_torque_squared": ("copper", 0.06),
+    "outside_gyro_curvature": ("gyro_cubic", 0.004)}
+"""Hidden effect -> the law, or the fault in what is logged, that is beside the small ones, and its strength."""
+Hidden = Mapping[str, float]
+"""Strength of each law and fault of one effect."""
 
-    laws: dict[str, float] = field(default_factory=dict)
-    faults: dict[str, float] = field(default_factory=dict)
+
+def _maker(key: str, size: float) -> Callable[[float], Hidden]:
+    return lambda s: {key: size * s}
 
 
 MAKERS: dict[str, Callable[[float], Hidden]] = {
-    "none": lambda s: Hidden(),
-    "none_wandering": lambda s: Hidden({"wander": 0.012 * s}),
-    "joint_stiffness": lambda s: Hidden({"spring": 0.35 * s}),
-    "quadratic_drag": lambda s: Hidden({"drag": 0.03 * s}),
-    "asymmetric_friction": lambda s: Hidden({"asymmetry": 0.08 * s}),
-    "torque_ripple": lambda s: Hidden({"ripple": 0.08 * s}),
-    "stribeck_friction": lambda s: Hidden({"stribeck": 0.15 * s}),
-    "load_dependent_friction": lambda s: Hidden({"load": 0.12 * s}),
-    "torque_saturation": lambda s: Hidden({"saturation": 0.4 * s}),
-    "torque_offset": lambda s: Hidden(faults={"torque_offset": 0.06 * s}),
-    "torque_delay": lambda s: Hidden(faults={"delay": 6e-3 * s}),
-    "sensor_time_skew": lambda s: Hidden(faults={"skew": 4e-3 * s}),
-    "gyro_bias": lambda s: Hidden(faults={"gyro_bias": 0.03 * s}),
-    "gyro_scale": lambda s: Hidden(faults={"gyro_scale": 0.03 * s}),
-    "accelerometer_bias": lambda s: Hidden(faults={"accel_bias": 0.25 * s}),
-    "imu_misalignment": lambda s: Hidden(faults={"tilt": 0.03 * s}),
-    "encoder_offset": lambda s: Hidden(faults={"encoder_offset": 0.03 * s}),
-    "encoder_eccentricity": lambda s: Hidden(faults={"eccentricity": 0.04 * s}),
-    # no effect of the library does these
-    "outside_cubic_spring": lambda s: Hidden({"cubic": 0.5 * s}),
-    "outside_patchy_friction": lambda s: Hidden({"patchy": 0.12 * s}),
-    "outside_magnet": lambda s: Hidden({"magnet": 0.2 * s}),
-    "outside_cable_hysteresis": lambda s: Hidden({"boucwen": 0.06 * s}),
-    "outside_swinging_mass": lambda s: Hidden({"slosh": 0.05 * s}),
-    "outside_torque_squared": lambda s: Hidden({"copper": 0.06 * s}),
-    "outside_gyro_curvature": lambda s: Hidden(faults={"gyro_cubic": 0.004 * s}),
-}
+    "none": lambda s: {}, **{name: _maker(*one) for name, one in OF_ORDINARY_STRENGTH.items()}}
 
 
 @njit(cache=True)
@@ -153,7 +154,7 @@ def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyp
 
 def make_case(name: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
+    rng = of_case(name, seed, 11)
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
     leg, dry, runs = record([hidden] * RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
@@ -170,9 +171,9 @@ def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, flo
 
     def logged(run: int, one: Hidden) -> Readings:
         wanted, rate = reference(rng, time, run)
-        law = np.array([one.laws.get(k, 0.0) for k in LAWS])
+        law = np.array([one.get(k, 0.0) for k in LAWS])
         rows = _move(wanted, rate, leg.beta()[:5], drive, law, phases, rng.normal(size=time.size))
-        fault = {k: small.get(k, 0.0) + one.faults.get(k, 0.0) for k in {*small, *one.faults}}
+        fault = {k: small.get(k, 0.0) + one.get(k, 0.0) for k in {*small, *one}.difference(LAWS)}
         return as_logged(dict(zip(("q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "tau2_nm"),
                                   rows.T)), time, fault)
 

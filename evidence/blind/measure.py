@@ -42,7 +42,7 @@ def coloured(rng: np.random.Generator, count: int, rms: float, time: float, dt: 
     pole = np.exp(-dt / time)
     white = rng.normal(size=count) * rms * np.sqrt(1.0 - pole**2)
     white[0] = rng.normal() * rms
-    return np.asarray(lfilter([1.0], [1.0, -pole], white))
+    return lfilter([1.0], [1.0, -pole], white)
 
 
 def imu(q1: Array, w1: Array, a1: Array, base: Array, tilt: Array, lever: float) -> tuple[Array, Array, Array]:

@@ -179,9 +179,9 @@ def read(cases: Iterable[PlannedCase], folder: Path) -> list[Answer]:
     """The answers that are kept below `folder`; a case that could not be made has the truth of its name."""
     found = []
     for case in cases:
-        document = json.loads(answer_file(case, folder).read_text(encoding="utf-8"))
+        document = json.loads(answer_file(case, folder).read_text())
         file = folder / case.family / "cases" / f"{case.name}.truth.json"
-        truth = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {
+        truth = json.loads(file.read_text()) if file.exists() else {
             "name": case.name, "effects": [{"effect": e, "joint": None, "sizes": {}, "also": []} for e in case.effects]}
         found.append(Answer(case, Outcome(truth, document["verdict"], tuple(document.get("causes", ()))), document))
     return found

@@ -94,8 +94,8 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
             if i == 0:
                 out[:4, k] = y[:4]
                 out[4:6, k] = k1[2:4]
-                encoder = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
-                out[6:, k] = field.base, field.tilt, encoder
+                knee = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
+                out[6:, k] = field.base, field.tilt, knee
             if fast.size:
                 trace[k * substeps + i] = y[0, fast], y[2, fast], k1[2, fast], field.base[fast], field.tilt[fast]
             k2 = field(y + (0.5 * h) * k1, t + 0.5 * h, um, pm, f)
@@ -108,7 +108,8 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
             y += (h / 6.0) * k2
             t += h
             f = friction(y, t, u2, f, field.inverse)
-    return Motion(*out, fast_lanes=fast, fast_time=np.arange(count * substeps) * h, fast=trace)
+    q1, q2, w1, w2, a1, a2, base, tilt, encoder = out
+    return Motion(q1, q2, w1, w2, a1, a2, base, tilt, encoder, fast, np.arange(count * substeps) * h, trace)
 
 
 class Field:
@@ -152,7 +153,7 @@ class Field:
         return -c["spring1"] * (y[0] - c["spring_rest1"]), -c["spring2"] * (y[1] - c["spring_rest2"])
 
     def _bristle_rate(self, y: Array) -> Array:
-        return np.asarray(y[3] - np.abs(y[3]) * y[self.rows.bristle2] * self.bristle_slip)
+        return y[3] - np.abs(y[3]) * y[self.rows.bristle2] * self.bristle_slip
 
     def _bristle(self, y: Array) -> tuple[float, Array]:
         """LuGre (Canudas de Wit 1995): z' = v - |v| z / z_full, torque = s0 z + s1 z'."""

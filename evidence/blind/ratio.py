@@ -62,7 +62,7 @@ def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping
 
     def project(a: Array) -> Array:
         flat = (a / level).reshape(-1)
-        return np.asarray((flat - basis @ (basis.T @ flat)).reshape(a.shape) * level)
+        return (flat - basis @ (basis.T @ flat)).reshape(a.shape) * level
 
     power = [np.mean(x**2, axis=(0, 2)) + sigma[:, 0]**2 for x in (project(error), project(floor))]
     return float(np.sqrt(power[0] / power[1]).max())

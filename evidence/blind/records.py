@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from evidence.blind.score import PRESENT, Outcome, same
-from evidence.blind.servo import Readings, effect, off_centre
+from evidence.blind.servo import Readings, effect, of_case, off_centre
 from evidence.frame import share, table
 from tests.support.paths import REAL, ROOT
 
@@ -97,7 +97,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it."""
     key, fault = name.split(".")
     record = RECORDS[key]
-    size = record.sizes.get(fault, 0.0) * np.random.default_rng([sum(map(ord, name)), seed, 5]).uniform(0.7, 1.3)
+    size = record.sizes.get(fault, 0.0) * of_case(name, seed, 5).uniform(0.7, 1.3)
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     tables = [np.genfromtxt(REAL / record.folder / f"{run}.csv.gz", delimiter=",", names=True) for run in record.runs]
@@ -107,7 +107,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     for k, columns in enumerate(runs, 1):
         np.savetxt(folder / f"r{k}.csv", np.column_stack(list(columns.values())), delimiter=",",
                    header=",".join(columns), comments="", fmt="%.12g")
-    (folder / "rig.toml").write_text((RIGS / record.rig).read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "rig.toml").write_bytes((RIGS / record.rig).read_bytes())
     truth: dict[str, Any] = {"name": folder.name, "effects": [], "seed": seed}
     if fault != UNTOUCHED:
         named = {FAULTS[fault].size: size} if FAULTS[fault].size else {}

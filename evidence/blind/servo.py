@@ -13,7 +13,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.random import Generator, default_rng
+from numpy.random import Generator
 
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
@@ -112,7 +112,7 @@ def turned(angle: float) -> Change:
 
 def off_centre(q: np.ndarray, depth: float) -> np.ndarray:
     """Error of an angle [rad] from a disc off centre by `depth` radii, read by one head."""
-    return np.asarray(np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
+    return np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7))
 
 
 def at_knee(torque: Callable[[np.ndarray, np.ndarray, float, float], float]) -> Plant:
@@ -219,9 +219,14 @@ def record(leg: Leg, plant: Plant, dry: float, rng: Generator, run: int, session
 def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
               makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
     """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it."""
-    rng = default_rng([sum(map(ord, name)), seed])
+    rng = of_case(name, seed)
     strength *= rng.uniform(0.85, 1.15)
     write_plant(name, seed, out, makers[name](strength), truth_of(name, strength), *draw(rng), rng)
+
+
+def of_case(name: str, *numbers: int) -> np.random.Generator:
+    """Random numbers of a case's name and numbers."""
+    return np.random.default_rng([sum(map(ord, name)), *numbers])
 
 
 def draw(rng: np.random.Generator) -> tuple[Leg, float]:
@@ -240,7 +245,7 @@ def write_plant(name: str, seed: int, out: Path, plant: Plant, hidden: Sequence[
 def counted(q: np.ndarray) -> np.ndarray:
     """An angle as the encoder reads it."""
     step = 2 * np.pi / COUNTS
-    return np.asarray(np.round(q / step) * step)
+    return np.round(q / step) * step
 
 
 def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: Generator,
@@ -257,5 +262,5 @@ def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndar
     (folder / "rig.toml").write_text(
         f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n{rig}')
     (out / f"{folder.name}.truth.json").write_text(json.dumps(
-        {"name": folder.name, "effects": list(hidden), "seed": seed, "beta": [float(b) for b in leg.beta()],
+        {"name": folder.name, "effects": list(hidden), "seed": seed, "beta": leg.beta().tolist(),
          "dry": dry}))

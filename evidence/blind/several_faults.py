@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import MAKERS, Plant, Readings, draw, truth_of, write_plant
+from evidence.blind.servo import MAKERS, Plant, Readings, draw, of_case, truth_of, write_plant
 
 TEN = {"joint_stiffness": 0.02, "quadratic_drag": 0.02, "asymmetric_friction": 0.02, "torque_ripple": 0.05,
        "torque_delay": 0.04, "sensor_time_skew": 0.03, "gyro_scale": 0.04, "accelerometer_bias": 0.05,
@@ -52,7 +52,7 @@ def together(plants: Sequence[Plant]) -> Plant:
 def make_case(name: str, seed: int, out: Path, always: Mapping[str, float] = TEN) -> None:
     """As `servo.make_case`, of effects joined by a plus, together with faults that are `always` there; the truth holds
     the effects alone."""
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 7])
+    rng = of_case(name, seed, 7)
     strengths = {n: rng.uniform(0.85, 1.15) for n in name.split("+")}
     hidden = together([MAKERS[n](strength) for n, strength in strengths.items()])
     small = [MAKERS[n](share * rng.uniform(0.7, 1.3)) for n, share in always.items() if n != name]

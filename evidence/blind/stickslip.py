@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import Change, Readings, changed, truth_of, turned, write_case
+from evidence.blind.servo import Change, Readings, changed, of_case, truth_of, turned, write_case
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.stick_slip_leg import PEAK_NM, TICK_S, Motion, move
 
@@ -55,7 +55,7 @@ SIZES = {"torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.010}, "s
 
 def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
     """As `servo.make_case`."""
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 3])
+    rng = of_case(name, seed, 3)
     strength *= rng.uniform(0.85, 1.15)
     change = MAKERS[name][0](strength)
     leg, dry, runs = record([change] * RUNS, rng)
