@@ -12,7 +12,7 @@ whole limits.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +45,7 @@ USUAL = "chirp 0.1-5 Hz"
 DESIGNS = ("design, d", "design, worst")
 
 
-@dataclass(frozen=True)
-class Refits:
+class Refits(NamedTuple):
     """Fits of one plan's runs."""
 
     plan: Plan

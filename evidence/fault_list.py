@@ -79,14 +79,12 @@ def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
 
 def held(first: int, last: int) -> Fault:
     """These words of a sample stay what they were."""
-    kept: list[list[int]] = []
-
-    def change(raw: list[int]) -> list[int]:
-        kept.append(raw)
-        return [*raw[:first], *kept[0][first:last], *raw[last:]]
-
     def strike(bench: FaultBench) -> None:
-        kept.clear()
+        kept: list[list[int]] = []
+
+        def change(raw: list[int]) -> list[int]:
+            kept.append(raw)
+            return [*raw[:first], *kept[0][first:last], *raw[last:]]
         imu_reads(change)(bench)
     return strike
 
@@ -108,12 +106,8 @@ def hears_nothing(bench: FaultBench) -> None:
     bench.link.read = read  # type: ignore[method-assign]
 
 
-def crashes(where: Any) -> Fault:
-    def strike(bench: FaultBench) -> None:
-        def crash(*_: Any, **__: Any) -> None:
-            raise ZeroDivisionError("crashed on purpose")
-        setattr(where(bench), "poll" if where(bench) is bench.controller else "drain", crash)
-    return strike
+def crash(*_: Any, **__: Any) -> None:
+    raise ZeroDivisionError("crashed on purpose")
 
 
 def dead_drive(bench: FaultBench) -> None:
@@ -194,8 +188,8 @@ FAULTS: dict[str, Fault] = {
     "I2C without acknowledge": lambda bench: bench.chip.fail(121, times=10_000),
     "I2C hangs": lambda bench: bench.chip.fail(110, times=10_000),
     "host stands still for 150 ms": lambda bench: bench.clock.sleep(0.15),
-    "reading the controller crashes": crashes(lambda bench: bench.controller),
-    "reading the IMU crashes": crashes(lambda bench: bench.imu),
+    "reading the controller crashes": set_on("controller.poll", crash),
+    "reading the IMU crashes": set_on("imu.drain", crash),
     "Ctrl-C": signalled(signal.SIGINT),
     "SIGTERM": signalled(signal.SIGTERM),
     "disk full": set_on("disk._room", 0),

@@ -6,7 +6,6 @@ files are taken from the commit that the page names.
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,8 +49,7 @@ cutoff_hz = 3.0
 """
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """Two sessions, what the authors changed between them, and what they publish of it."""
 
     title: str

@@ -147,6 +147,11 @@ def answered(leg: Leg, runs: Sequence[Dataset], more: str = "") -> Answered:
     return Answered(fit, inside, str(fit.trust).split("; ")[-1].split(" the ")[0], found, read)
 
 
+def short(sentence: str) -> str:
+    """A first line without what follows the colon."""
+    return sentence.split("; ")[-1].split(":")[0].split(". ")[0].rstrip(".")
+
+
 def truth_of(beta: Sequence[float] | FloatArray) -> dict[str, float]:
     return dict(zip(NAMES, map(float, beta), strict=True))
 

@@ -20,7 +20,7 @@ from daq.timing import align_table
 from estimator import FitError
 from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
-from evidence.known_legs import FAMILIES, HEALTHY
+from evidence.known_legs import FAMILIES, HEALTHY, short
 from evidence.registry import Evidence
 from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
@@ -246,9 +246,7 @@ def _pairs(seed: int) -> Iterator[str]:
                 f"**Pairs trusted wrongly: {sum(one.wrong for one in found.values())} of {len(found)} fits, "
                 f"{sum(one.trusted for one in found.values())} of which are trusted.**"]
     yield table("put in | largest error | the fit's first line", (
-        f"{' and '.join(kinds)} | {one.worst:.2f} % | "
-        + one.sentence.split("; ")[-1].partition(":")[0].partition(". ")[0].rstrip(".")
-        for kinds, one in found.items()))
+        f"{' and '.join(kinds)} | {one.worst:.2f} % | {short(one.sentence)}" for kinds, one in found.items()))
 
 
 def _healthy(seed: int, records: Path) -> Iterator[str]:

@@ -28,7 +28,7 @@ from daq.runs.mcap_run import RunWriter, recover
 from daq.runs.mcap_scan import Scan
 from evidence.frame import Lines, program, table, tell, within
 from evidence.kept import kept
-from evidence.mutate_foreign import Make, foreign
+from evidence.mutate_foreign import Make, foreign, some
 from evidence.mutate_worker import Fault, Kind, study, used_s
 from evidence.registry import Evidence
 from experiments.judge.found_model import model_of
@@ -142,7 +142,7 @@ def broken(whole: bytes, rng: np.random.Generator) -> bytes:
         if not data:
             break
         a = int(rng.integers(len(data)))
-        b = min(len(data), a + int(2 ** rng.uniform(0, 10)))
+        b = min(len(data), a + some(rng, 10))
         match rng.integers(9):
             case 0:
                 data[a] ^= 1 << rng.integers(8)
@@ -155,14 +155,14 @@ def broken(whole: bytes, rng: np.random.Generator) -> bytes:
             case 4:
                 del data[a:]
             case 5:  # a field of a length or a count
-                data[a: a + 8] = int(2 ** rng.uniform(0, 64)).to_bytes(9, "little")[:8]
+                data[a: a + 8] = some(rng, 64).to_bytes(9, "little")[:8]
             case 6:  # a number in a text
                 found = list(re.finditer(rb"-?\d[\d.eE+-]*", bytes(data[a: a + 400])))
                 if found:
                     hit = found[rng.integers(len(found))]
                     data[a + hit.start(): a + hit.end()] = NUMBERS[rng.integers(len(NUMBERS))]
             case 7:
-                data[a:a] = BRACKETS[rng.integers(len(BRACKETS))] * int(2 ** rng.uniform(0, 17))
+                data[a:a] = BRACKETS[rng.integers(len(BRACKETS))] * some(rng, 17)
             case 8:
                 other = int(rng.integers(len(data)))
                 data[a:b], data[other: other + b - a] = data[other: other + b - a], data[a:b]

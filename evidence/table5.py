@@ -6,7 +6,7 @@ legs that are not scored.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,8 +55,7 @@ clock_bound_s = 0.01
 """
 
 
-@dataclass(frozen=True)
-class Leg:
+class Leg(NamedTuple):
     """A leg of known parameters, the run that is fitted, and those that are simulated."""
 
     beta: FloatArray

@@ -18,7 +18,7 @@ from estimator import FitError
 from evidence.blind.score import Rate
 from evidence.frame import Lines, new_folder, program, share, table, tell, within
 from evidence.kept import kept
-from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, KnownLeg, hidden_at, make
+from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, KnownLeg, hidden_at, make, short
 from evidence.lab_legs import lab_leg
 from evidence.machine_records import MACHINES, Machine
 from evidence.machines import typed, unpack
@@ -188,7 +188,7 @@ def page(turns: int = 40, minutes: float = 60.0, seed: int = 6200, snapshots: st
     if real:
         yield "Real records against published values, which have errors of their own:"
         yield table("record | fit | first line | published values within | largest distance", (
-            (one.source, one.hidden.replace(HEALTHY, "-"), _short(one.sentence), *_held(one.errors.values()))
+            (one.source, one.hidden.replace(HEALTHY, "-"), short(one.sentence), *_held(one.errors.values()))
             for one in real))
 
 
@@ -231,11 +231,6 @@ def _misses(rows: Sequence[Outcome]) -> Iterator[tuple[object, ...]]:
         own = [one.errors[name] for name in RIGID if name in one.errors]
         if one.trusted and not all(inside for _, inside in own):
             yield one.source, one.hidden, one.runs, *_held(own)
-
-
-def _short(sentence: str) -> str:
-    """Without what follows the colon."""
-    return sentence.split("; ")[-1].split(":")[0].split(". ")[0].rstrip(".")
 
 
 EVIDENCE = Evidence(

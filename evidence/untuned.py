@@ -4,8 +4,9 @@ A rig.toml holds the mechanism, its driven joints, the gear and gravity, and not
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +30,7 @@ LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
 ENDS = ("sin_sin", "up_and_down", "sin_time_square", "lift_and_drop")
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """Runs of one rig, what is published of it, and under what model."""
 
     title: str

@@ -7,9 +7,9 @@ impact of its own. It shares nothing with the estimator.
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator, default_rng
@@ -85,8 +85,7 @@ def put(folder: Path, runs: Sequence[Dataset], rate_hz: float) -> list[Path]:
     return [folder / data.name for data in runs]
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """Of one walk: error of the touchdowns found [s], then with the stance known and found: (beta - truth) over its
     deviation and over the bound's."""
 
@@ -200,8 +199,7 @@ def ahead_page(found: Sequence[Sequence[dict[str, Any]]]) -> Iterator[str]:
     yield table("steps | free runs | fell | torso | hip, standing leg | hip, swinging leg", rows)
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One diagnosis."""
 
     seed: int

@@ -85,14 +85,14 @@ def solve(recorded: Recorded) -> dict[str, Any]:
             "beta": result.beta.tolist(), "memory_mb": memory, "evaluation_s": evaluation, "linearise_s": linearise}
 
 
-def typed(recorded: Recorded, times: int = 5) -> float:
+def typed(recorded: Recorded) -> float:
     """Least seconds of `legid fit` as a command, from a CSV file, its children's processor seconds where fewer."""
     with new_folder() as folder:
         run, rig = folder / "run.csv", folder / "rig.toml"
         write_csv(recorded.data, run)
         rig.write_text(RIG.format(lever=recorded.mechanism.lever_arm))
         found = np.inf
-        for _ in range(times):
+        for _ in range(5):
             clock, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run([sys.executable, "-m", "experiments.cli", "fit", str(run), "--rig", str(rig)], check=True,
                            capture_output=True)

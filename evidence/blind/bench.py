@@ -112,12 +112,12 @@ def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid
                      session=np.array([rigs[i].session[run] for i, run in lanes]), fast=np.array(late, int))
 
 
-def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference], rounds: int = 3) -> None:
+def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference]) -> None:
     """Scale single effects to their target ratio: log-log secant steps on sqrt(ratio^2 - 1)."""
     value = {i: rig.strength for i, rig in enumerate(rigs) if len(rig.hidden) == 1}
     last: dict[int, tuple[float, float]] = {}
     open_ = list(value)
-    for _ in range(rounds):
+    for _ in range(3):
         if not open_:
             return
         # a light motor on its shaft needs the finer step

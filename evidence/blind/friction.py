@@ -4,12 +4,15 @@ import numpy as np
 
 from evidence.blind.leg import Array, Leg, Rows
 
+CREEP_RADPS = 1e-3
+"""Over which the law is rounded off."""
+
 
 class DryFriction:
     """Set-valued friction at both joints: the torque over the step that makes its end obey the law."""
 
-    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, h: float, creep: float, begin: Array) -> None:
-        self.leg, self.c, self.rows, self.h, self.creep, self.begin = leg, c, rows, h, creep, begin
+    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, h: float, begin: Array) -> None:
+        self.c, self.rows, self.h, self.begin = c, rows, h, begin
         self.level1 = np.asarray(leg.coulomb1)
         self.level2 = np.where(c["bristle2"] > 0, 0.0, leg.coulomb2)
         self.on = {name: bool(value.any()) for name, value in c.items()}
@@ -53,8 +56,8 @@ class DryFriction:
         free2 = v2 - h * (coupling * f[0] + a22 * f[1])
         low2 = -(level2 + self.c["asymmetry2"]) if self.on["asymmetry2"] else -level2
         ha11, ha12, ha22 = h * a11, h * coupling, h * a22
-        stiff1 = -1.0 / (ha11 + self.creep / (level1 + 1e-9))
-        stiff2 = -1.0 / (ha22 + self.creep / (level2 + 1e-9))
+        stiff1 = -1.0 / (ha11 + CREEP_RADPS / (level1 + 1e-9))
+        stiff2 = -1.0 / (ha22 + CREEP_RADPS / (level2 + 1e-9))
         f1, f2 = f[0], f[1]
         for _ in range(3):
             f1 = np.minimum(np.maximum((free1 + ha12 * f2) * stiff1, -level1), level1)

@@ -37,9 +37,9 @@ class Sensors:
         return float(2.0 * np.pi / 2**self.bits)
 
 
-def coloured(rng: np.random.Generator, count: int, rms: float, time: float, dt: float = 1.0 / RATE_HZ) -> Array:
+def coloured(rng: np.random.Generator, count: int, rms: float, time: float) -> Array:
     """AR(1) sequence of the given rms and correlation time, (count,)."""
-    pole = np.exp(-dt / time)
+    pole = np.exp(-1.0 / RATE_HZ / time)
     white = rng.normal(size=count) * rms * np.sqrt(1.0 - pole**2)
     white[0] = rng.normal() * rms
     return lfilter([1.0], [1.0, -pole], white)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ RATIOS = (-np.inf, EDGE, 2.0, 5.0, np.inf)
 OUTSIDE = ("outside", "deleted")
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What `legid diagnose` says of one case."""
 
     case: PlannedCase

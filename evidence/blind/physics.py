@@ -4,7 +4,7 @@ A lane is one run of one case. The plain leg is Lagrange's equation in the relat
 written from masses, lengths and inertias (Spong, Robot Modeling and Control, section 7.3, two-link arm with
 angles counted from the downward vertical). Smooth forces go through classical RK4. Dry friction is a set-valued
 force: its impulse over a step is the solution of a two-contact box problem (Moreau time stepping), so that a
-joint really sticks; `creep` rounds the law off over that velocity.
+joint really sticks, its law rounded off over a small velocity.
 
 Extra states exist only when a lane asks for them: motor side (elasticity, backlash), LuGre bristles, a base on a
 spring, a sloshing inertia, a hysteretic cable. Coefficients of a lane that does not have the effect are zero.
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from evidence.blind.friction import DryFriction
 from evidence.blind.leg import COEFFICIENTS, GRAVITY, Array, Leg, Rows
+
+SAMPLE_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ class Motion:
 
 
 def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | None = None, pivot: Array | None = None,
-              start: Array | None = None, session: Array | None = None, dt: float = 0.01, step: float = 5e-4,
-              creep: float = 1e-3, fast: NDArray[np.intp] | None = None, gravity: float = GRAVITY) -> Motion:
+              start: Array | None = None, session: Array | None = None, step: float = 5e-4,
+              fast: NDArray[np.intp] | None = None) -> Motion:
     """Integrate all lanes over the sample grid.
 
     `torque`, `pivot`: (N, L) torque that acts on knee and pivot at the samples [N m], linear in between.
@@ -64,10 +66,10 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
         if name not in c:
             raise KeyError(name)
         c[name] = np.broadcast_to(np.asarray(value, float), (lanes,)).copy()
-    substeps = round(dt / step)
-    h = dt / substeps
+    substeps = round(SAMPLE_S / step)
+    h = SAMPLE_S / substeps
     rows = Rows.plan(c)
-    field = Field(leg, c, rows, gravity)
+    field = Field(leg, c, rows)
     y = np.zeros((rows.count, lanes))
     if start is not None:
         y[:4] = start
@@ -76,7 +78,7 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
     pivot = np.zeros_like(torque) if pivot is None else pivot
     slope, pivot_slope = (np.diff(x, axis=0, append=x[-1:]) / substeps for x in (torque, pivot))
     begin = np.zeros(lanes) if session is None else np.asarray(session, float)
-    friction = DryFriction(leg, c, rows, h, creep, begin)
+    friction = DryFriction(leg, c, rows, h, begin)
     fast = np.zeros(0, np.intp) if fast is None else np.asarray(fast)
     out = np.empty((9, count, lanes))
     trace = np.empty((count * substeps, 5, fast.size))
@@ -112,13 +114,17 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
     return Motion(q1, q2, w1, w2, a1, a2, base, tilt, encoder, fast, np.arange(count * substeps) * h, trace)
 
 
+Force = Callable[[Array], tuple[Array | float, Array | float]]
+"""State -> torques at pivot and knee."""
+
+
 class Field:
     """The smooth part of the equations of motion; keeps the inverse inertia of its last call."""
 
-    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, gravity: float) -> None:
+    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows) -> None:
         self.leg, self.c, self.rows = leg, c, rows
         self.b1, self.b2, self.b3, self.b4, self.b5 = leg.beta()[:5]
-        self.g4, self.g5 = gravity * self.b4, gravity * self.b5
+        self.g4, self.g5 = GRAVITY * self.b4, GRAVITY * self.b5
         self.base, self.tilt = np.zeros((2, self.b4.size))
         self.two_mass = c["shaft"] > 0
         # a geared rotor carried by link 1 turns with q1d + gear*q2d: its energy fills three entries of M
@@ -128,13 +134,16 @@ class Field:
         self.m12 = self.b2 + np.where(geared, c["rotor"] / ratio, 0.0)
         self.m22 = self.b2 + c["rotor"]
         self.on = {name: bool(value.any()) for name, value in c.items()}
-        self.forces: list[Callable[[Array], tuple[Array | float, Array | float]]] = []
-        for law, *names in ((self._drag, "drag1", "drag2"), (self._spring, "spring1", "spring2"),
-                            (self._bristle, "bristle2"), (self._stop, "stop_stiffness"), (self._slosh, "slosh"),
-                            (self._cable, "cable"), (self._cross, "cross_damping"),
-                            (self._one_way, "asymmetric_drag2")):
-            if any(self.on[name] for name in names):
-                self.forces.append(law)
+        laws: dict[tuple[str, ...], Force] = {
+            ("drag1", "drag2"): lambda y: (-c["drag1"] * y[2] * np.abs(y[2]), -c["drag2"] * y[3] * np.abs(y[3])),
+            ("spring1", "spring2"): lambda y: (-c["spring1"] * (y[0] - c["spring_rest1"]),
+                                               -c["spring2"] * (y[1] - c["spring_rest2"])),
+            ("bristle2",): self._bristle, ("stop_stiffness",): self._stop, ("slosh",): self._slosh,
+            # Bouc-Wen hysteresis of a cable bundle around the pivot, with the bundle's own stiffness
+            ("cable",): lambda y: (-c["cable"] * (y[rows.cable] + 0.5 * y[0]), 0.0),
+            ("cross_damping",): lambda y: (-c["cross_damping"] * y[3], 0.0),
+            ("asymmetric_drag2",): lambda y: (0.0, -c["asymmetric_drag2"] * np.maximum(y[3], 0.0))}
+        self.forces = [law for names, law in laws.items() if any(self.on[name] for name in names)]
         self.base_lanes = c["base_mass"] > 0
         mass = c["base_mass"] + leg.m1 + leg.m2
         self.base_inverse = np.where(self.base_lanes, 1.0 / mass, 0.0)
@@ -144,13 +153,6 @@ class Field:
         self.bristle_stiffness = np.where(has, leg.coulomb2 / deflection, 0.0)
         self.bristle_damping = 0.6 * np.sqrt(self.bristle_stiffness * self.b2 * 0.3)
         self.bristle_slip = np.where(has, 1.0 / deflection, 0.0)
-
-    def _drag(self, y: Array) -> tuple[Array, Array]:
-        return -self.c["drag1"] * y[2] * np.abs(y[2]), -self.c["drag2"] * y[3] * np.abs(y[3])
-
-    def _spring(self, y: Array) -> tuple[Array, Array]:
-        c = self.c
-        return -c["spring1"] * (y[0] - c["spring_rest1"]), -c["spring2"] * (y[1] - c["spring_rest2"])
 
     def _bristle_rate(self, y: Array) -> Array:
         return y[3] - np.abs(y[3]) * y[self.rows.bristle2] * self.bristle_slip
@@ -171,16 +173,6 @@ class Field:
         row = self.rows.slosh
         reaction = self.c["slosh_stiffness"] * y[row] + self.c["slosh_damping"] * y[row + 1]
         return reaction, reaction
-
-    def _cable(self, y: Array) -> tuple[Array, float]:
-        """Bouc-Wen hysteresis of a cable bundle around the pivot, with the bundle's own stiffness."""
-        return -self.c["cable"] * (y[self.rows.cable] + 0.5 * y[0]), 0.0
-
-    def _cross(self, y: Array) -> tuple[Array, float]:
-        return -self.c["cross_damping"] * y[3], 0.0
-
-    def _one_way(self, y: Array) -> tuple[float, Array]:
-        return 0.0, -self.c["asymmetric_drag2"] * np.maximum(y[3], 0.0)
 
     def __call__(self, y: Array, t: float, torque: Array, pivot: Array, f: Array) -> Array:
         """State rates (rows, L); `f` (2, L) are the dry friction torques held over the step."""

@@ -20,7 +20,7 @@ EVERY = 4
 _NUDGE = 2e-3
 
 
-def sensitivities(leg: Leg, torque: Array, lever: float = 0.20) -> Array:
+def sensitivities(leg: Leg, torque: Array) -> Array:
     """Slopes of the four sensors on parameters and initial state, (13, R, 4, N/EVERY); `torque` is (N, R).
 
     The five inertial nudges are physical (`MOVED`); they span the same changes as beta1 .. beta5.
@@ -35,7 +35,7 @@ def sensitivities(leg: Leg, torque: Array, lever: float = 0.20) -> Array:
         start[j, 1 + len(MOVED) + j] = _NUDGE
     motion = integrate(joined, np.tile(torque, (1, count)), start=start.reshape(4, -1), step=2.5e-3)
     still = np.zeros_like(motion.q1)
-    gyro, ax, ay = imu(motion.q1, motion.w1, motion.a1, still, still, lever)
+    gyro, ax, ay = imu(motion.q1, motion.w1, motion.a1, still, still, Sensors.lever)
     seen = np.stack([motion.q2, gyro, ax, ay])[:, ::EVERY].reshape(4, -1, count, runs)
     moved = (seen[:, :, 1:] - seen[:, :, :1]) / _NUDGE
     return np.ascontiguousarray(moved.transpose(2, 3, 0, 1))

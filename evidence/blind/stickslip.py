@@ -53,12 +53,11 @@ SIZES = {"torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.010}, "s
 """Of ordinary strength, where the library's law has the same size."""
 
 
-def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
+def make_case(name: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
     rng = of_case(name, seed, 3)
-    strength *= rng.uniform(0.85, 1.15)
-    change = MAKERS[name][0](strength)
-    leg, dry, runs = record([change] * RUNS, rng)
+    strength = rng.uniform(0.85, 1.15)
+    leg, dry, runs = record([MAKERS[name][0](strength)] * RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, "", truth_of(name, strength, SIZES), dry)
 
 
