@@ -69,9 +69,10 @@ def noise(rng: Generator) -> bytes:
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
 
 
-def _stream(frames: int, rng: Generator, started: float, decoder: Any, noise: Callable[[], bytes],
+def _stream(frames: int, rng: Generator, decoder: Any, noise: Callable[[], bytes],
             sent: Callable[[int], Any], encoded: Callable[[Any], bytes]) -> Outcome:
     """A third noise, a third valid frames broken by the fault injector, a third whole, all in one stream."""
+    started = time.perf_counter()
     wire = FaultyWire(WireFaults(**{kind: 0.5 / len(KINDS) for kind in KINDS}), rng)
     broken = delivered = wrong = 0
     recent: deque[Any] = deque(maxlen=12)
@@ -95,9 +96,9 @@ def _stream(frames: int, rng: Generator, started: float, decoder: Any, noise: Ca
 
 @kept
 def fuzz_serial(frames: int, seed: int) -> Outcome:
-    rng, decoder, started = default_rng(seed), Decoder(), time.perf_counter()
+    rng, decoder = default_rng(seed), Decoder()
     decoder.feed(b"\0")
-    return _stream(frames, rng, started, decoder, lambda: noise(rng), lambda k: message(rng, k), encode)
+    return _stream(frames, rng, decoder, lambda: noise(rng), lambda k: message(rng, k), encode)
 
 
 @kept
@@ -123,13 +124,13 @@ def fuzz_can(frames: int, seed: int) -> Outcome:
 
 @kept
 def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
-    rng, started = default_rng(seed), time.perf_counter()
+    rng = default_rng(seed)
 
     def broken() -> bytes:
         start = dynamixel.HEADER if rng.random() < 0.5 else b""
         return start + rng.bytes(int(rng.integers(1, 90)))
 
-    return _stream(frames, rng, started, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
+    return _stream(frames, rng, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
         k % 253, dynamixel.Instruction.STATUS, 0, rng.bytes(k % 90)),
         lambda sent: dynamixel.status(sent.ident, sent.error, sent.params))
 

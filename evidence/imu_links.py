@@ -66,10 +66,8 @@ def hanging(links: int, seconds: float, rate_hz: float, share: float, viscous: f
 def walker(rng: Generator, sensors: list[Sensor]) -> Rig:
     """Steps of a walker over its passive stance foot: torso held up, swing leg brought forward, multisines on top."""
     tree = random_tree(rng, (-1, 0, 0), length=0.6, mass=5.0, viscous=0.0, coulomb=0.0, upright=True)
-    runs = []
-    for step in range(STEPS):
-        motion = one_step(tree, rng, sensors)
-        runs.append(disturbed(motion, (1, 2), WALKER_HZ, rng, WALKER_NOISE, f"step {step + 1}"))
+    runs = [disturbed(one_step(tree, rng, sensors), (1, 2), WALKER_HZ, rng, WALKER_NOISE, f"step {step + 1}")
+            for step in range(STEPS)]
     return Rig(tree, placed(biped3(gravity_mps2=GRAVITY), sensors, tree), runs)
 
 

@@ -3,10 +3,10 @@
 import importlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 from tests.support.paths import ROOT
 
@@ -18,8 +18,7 @@ SEEDS = r"(?i)seeds? (?:from )?(\d+(?:(?: to |-)\d+)?)"
 Result = Callable[[str], str]
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """One thing that is measured, for its line of the index."""
 
     what: str

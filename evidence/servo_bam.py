@@ -97,7 +97,8 @@ def errors() -> dict[str, list[float]]:
         ours = {f"legid, {name}: Coulomb and viscous": model for name, model in fits().items()}
         ours |= {f"legid, mle: and {name}": extended(name) for name in EFFECTS}
         for name, model in ours.items():
-            out.setdefault(name, []).append(_rms(closed(model, run, float(gain)) - run["q1_rad"]))
+            off = closed(model, run, float(gain)) - run["q1_rad"]
+            out.setdefault(name, []).append(float(np.sqrt(np.mean(off**2))))
     return out
 
 
@@ -108,8 +109,4 @@ def diagnosis() -> tuple[str, tuple[str, ...], tuple[float, float] | None]:
     error = found.error
     return found.verdict, tuple(cause.effect for cause in found.causes), (
         None if error is None else (finite(error.before), finite(error.after)))
-
-
-def _rms(x: FloatArray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 

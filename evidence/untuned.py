@@ -27,6 +27,7 @@ from tests.support.paths import REAL
 ARM = '[mechanism]\nmodel = "leg2"\nactuated = [1, 2]\ngravity_mps2 = 9.81\n[motor]\ngear_ratio = 6.0\n'
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
+DEGREES = 180 / np.pi
 ENDS = ("sin_sin", "up_and_down", "sin_time_square", "lift_and_drop")
 
 
@@ -99,8 +100,8 @@ ARM_SPOILS: dict[str, tuple[Spoil, str]] = {
     "q2 negated": (negated("q2_rad"), "q2_rad looks negated"),
     "q1 negated": (negated("q1_rad"), "q1_rad looks negated"),
     "q2 and its torque negated": (negated("q2_rad", "tau2_nm"), "tau2_nm and q2_rad look negated"),
-    "degrees for radians, both": (times(180 / np.pi, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
-    "degrees for radians, q2": (times(180 / np.pi, "q2_rad"), "q2_rad looks in degrees"),
+    "degrees for radians, both": (times(DEGREES, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
+    "degrees for radians, q2": (times(DEGREES, "q2_rad"), "q2_rad looks in degrees"),
     "q2 of the motor's side": (times(6.0, "q2_rad"), "q2_rad looks of the motor's side"),
     "q2 by the gear twice": (times(1 / 6.0, "q2_rad"), "q2_rad looks divided by the gear ratio twice"),
     "q2 by a gear of 4 for 6": (times(1.5, "q2_rad"), "times too large"),
@@ -114,10 +115,10 @@ IMU_SPOILS: dict[str, tuple[Spoil, str]] = {
     "accelerometer's y negated": (negated("accel_y_mps2"), "accel_y_mps2 looks negated"),
     "accelerometer's axes interchanged": (swapped("accel_x_mps2", "accel_y_mps2"), "accel_x_mps2 looks like"),
     "gyro negated": (negated("gyro_radps"), "gyro_radps looks negated"),
-    "gyro in degrees": (times(180 / np.pi, "gyro_radps"), "gyro_radps looks in degrees"),
+    "gyro in degrees": (times(DEGREES, "gyro_radps"), "gyro_radps looks in degrees"),
     "accelerometer in g": (times(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), "look in g"),
     "knee's torque negated": (negated("tau2_nm"), "tau2_nm looks negated"),
-    "knee in degrees": (times(180 / np.pi, "q2_rad"), "q2_rad looks in degrees"),
+    "knee in degrees": (times(DEGREES, "q2_rad"), "q2_rad looks in degrees"),
 }
 
 
@@ -155,7 +156,7 @@ def cases() -> Iterator[Case]:
     yield "axis", "force negated", RECORDS["emps"].rig, [spoilt(emps[0], negated("tau1_n"))], "tau1_n looks negated"
     bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), parse_rig(servo))
     for what, by, said in (("volts negated", negated("voltage1_v"), "duty looks negated"),
-                           ("degrees for radians", times(180 / np.pi, "q1_rad"), "q1_rad looks in degrees"),
+                           ("degrees for radians", times(DEGREES, "q1_rad"), "q1_rad looks in degrees"),
                            ("gravity upside down", lambda d: {"q1_rad": d["q1_rad"] + np.pi}, "upside down")):
         yield "servo", what, servo, [spoilt(run, by) for run in bam], said
     rng = np.random.default_rng(5)

@@ -5,6 +5,7 @@ import zlib
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator, default_rng
@@ -26,8 +27,7 @@ APART = ({"joint_elasticity", "backlash"}, {"stribeck_friction", "presliding_fri
          {"asymmetric_friction", "torque_offset"})
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What is hidden, how strongly, and the seed of everything else."""
 
     kind: str

@@ -1,9 +1,9 @@
 """Cases of `make evidence`: a family of legs, what is hidden, a seed; and the order in which they are diagnosed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ def make_bench(hidden: str, seed: int, out: Path) -> None:
     bench.generate([bench_case(hidden, seed)], out)
 
 
-@dataclass(frozen=True)
-class Family:
+class Family(NamedTuple):
     """One make of legs."""
 
     legs: str
@@ -56,8 +55,7 @@ FAMILIES: dict[str, Family] = {
     RECORDS: Family("real records, a fault put into their readings", records.make_case, records.NAMES)}
 
 
-@dataclass(frozen=True)
-class PlannedCase:
+class PlannedCase(NamedTuple):
     """A case by its family, what is hidden in it, and the seed of everything else."""
 
     family: str
