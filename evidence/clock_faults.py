@@ -6,7 +6,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from daq.errors import InputError
+from daq import InputError
 from daq.runs import read_run
 from daq.timing import decode, recorded_rig
 from evidence.frame import Lines, new_folder, program, table

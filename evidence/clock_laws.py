@@ -11,7 +11,7 @@ from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from daq.runs.streams import CLOCK
-from daq.timing.clock import fit_ticks
+from daq.timing import fit_ticks
 from evidence.frame import Lines, program, table
 
 EPOCH = 7_000_000_000_000

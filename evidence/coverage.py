@@ -15,9 +15,8 @@ import numpy as np
 from numpy.random import default_rng
 
 from daq import Dataset, FloatArray
-from estimator import FitError, FitOptions, Method, fit
+from estimator import TWO_SIDED, FitError, FitOptions, Method, fit
 from estimator.model import leg2
-from estimator.result import TWO_SIDED
 from evidence.blind import servo
 from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import WorkError
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from drivers import Lsm9ds1
-from drivers.errors import DriverError
-from drivers.lsm9ds1 import ImuConfig
+from daq import WorkError, parse_rig
+from daq.recording import record_run
+from drivers import DriverError, ImuConfig, Lsm9ds1
 from evidence.frame import new_folder
 from experiments.emulation.plant import LegPlant
 from tests.support.device_faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults

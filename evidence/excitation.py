@@ -16,19 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import FloatArray
-from daq.recording.plan import Plan
-from daq.rig import Rig, parse_rig
-from daq.rig_limits import Limits
-from estimator.fitting.fit import fit
+from daq import FloatArray, Limits, Rig, parse_rig
+from daq.recording import Plan
+from estimator import fit
 from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.plant import LegBody
-from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
-from experiments.models.mechanism_settings import build_mechanism
-from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.emulation import LegBody, record_emulated
+from experiments.excite import Band, Bench, Search, design
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Candidate
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism
 from experiments.session import prepare
 from tests.support.paths import DEMO_RIG
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from daq.runs import mcap_run
-from drivers.protocol import State, Telemetry
+from drivers import State, Telemetry
 from tests.support.device_faults import WireFaults
 from tests.support.fault_bench import FaultBench
 

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from evidence.blind.score import Rate
-from studies.machine import machine
+from studies import machine
 
 Case = TypeVar("Case")
 Lines = Generator[str, None, Any]

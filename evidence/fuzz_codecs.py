@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from fastcrc import crc16
 from numpy.random import Generator, default_rng
 
-from drivers import dynamixel
+from drivers import FaultReport, Hello, Message, Pong, Telemetry, dynamixel
 from drivers.can_codec import CanCodec
-from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, Telemetry, encode
+from drivers.protocol import Decoder, Fault, encode
 from evidence.frame import Lines, program
 from evidence.kept import kept
 from evidence.registry import Evidence, shares

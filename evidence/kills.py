@@ -21,12 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
-from daq.recording.plan import write_plan
-from daq.rig import load_rig
-from daq.runs import read_run
-from daq.runs.mcap_run import FLUSH_MESSAGES, recover
-from daq.timing.notes import configured
+from daq import InputError, load_rig
+from daq.recording import write_plan
+from daq.runs import read_run, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES
+from daq.timing import configured
 from evidence.frame import Lines, heard, new_folder, program, table, tell, within
 from evidence.kept import kept
 from evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch

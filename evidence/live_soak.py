@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 
-from daq.recording.plan import Plan, write_plan
-from daq.runs.mcap_run import read_run
-from drivers.mock.rig import STEP_NS
+from daq.recording import Plan, write_plan
+from daq.runs import read_run
+from drivers.mock import STEP_NS
 from evidence.frame import Lines, program, table
 from evidence.registry import Evidence
-from experiments.emulation.served_rig import ServedRig
-from experiments.excite.multisine import random_multisine
+from experiments.emulation import ServedRig
+from experiments.excite import random_multisine
 from experiments.reports.run_info import lost_frames
 from tests.support.live_browser import Browser, Live, open_page
 from tests.support.paths import ROOT

@@ -21,20 +21,18 @@ import msgspec
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from daq.recording.plan import Plan, read_plan
-from daq.rig import load_rig, parse_rig
-from daq.runs import read_run
-from daq.runs.mcap_run import RunWriter, recover
+from daq import load_rig, parse_rig
+from daq.recording import Plan, read_plan
+from daq.runs import RunWriter, read_run, recover
 from daq.runs.mcap_scan import Scan
 from evidence.frame import Lines, program, table, tell, within
 from evidence.kept import kept
 from evidence.mutate_foreign import Make, foreign, some
 from evidence.mutate_worker import Fault, Kind, study, used_s
 from evidence.registry import Evidence
-from experiments.judge.found_model import model_of
-from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import load_model
-from experiments.reports.run_info import describe_mcap
+from experiments.judge import model_of
+from experiments.models import load_model, mechanism_settings
+from experiments.reports import describe_mcap
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run

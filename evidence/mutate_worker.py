@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from daq.errors import InputError
+from daq import InputError
 from experiments import bounded_child
 from experiments.exchange import bounded
 from experiments.simulators import robot

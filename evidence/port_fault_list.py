@@ -10,19 +10,17 @@ from typing import Any, NamedTuple
 from cobs import cobs
 from fastcrc import crc16
 
+from drivers import Hello, Message, Telemetry
 from drivers.protocol import (
     DELIMITER,
     TYPES,
     Arm,
     ClearFaults,
     Decoder,
-    Hello,
     HelloRequest,
     LimitsRequest,
-    Message,
     Ping,
     Stop,
-    Telemetry,
     TimedCommand,
     TorqueCommand,
     encode,

@@ -7,18 +7,10 @@ import numpy as np
 from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence
+from studies.biped3 import CASES
 from studies.biped3.protocol import OURS, PRINTED, Protocol
 from studies.biped3.report import figure
-from studies.biped3.study import (
-    BLOCK,
-    CASES,
-    KNOWN_WLS,
-    PAPERS_MLE,
-    Block,
-    BlockResult,
-    error_of_truth,
-    run_block,
-)
+from studies.biped3.study import BLOCK, KNOWN_WLS, PAPERS_MLE, Block, BlockResult, error_of_truth, run_block
 from studies.biped3.table import LABELS, PAPER
 
 REGULAR = CASES[:4]

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator, default_rng
 
-from daq import Dataset, FloatArray
-from daq.rig import parse_rig
+from daq import Dataset, FloatArray, parse_rig
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import leg2
 from evidence.blind import servo

@@ -11,13 +11,13 @@ import numpy as np
 
 import legid
 from daq import Dataset, FloatArray, Loop, Rig, load_rig
+from estimator import FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import nominal_model, refit
 from estimator.effects import classes
 from estimator.free_runs import FittedModel
 from estimator.likelihood import free_run
 from estimator.loops import law_checks
-from estimator.options import FitOptions
 from estimator.prediction import smooth
 from evidence.kept import kept
 from experiments.documents import finite

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.recording.workers import QueuedSink
-from daq.runs.mcap_run import FLUSH_MESSAGES, read_run, recover
+from daq.recording import QueuedSink
+from daq.runs import read_run, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES
 from evidence import clock_laws, fuzz_codecs
 from evidence.frame import Lines, new_folder, program
 from evidence.registry import Evidence

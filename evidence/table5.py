@@ -10,16 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import Dataset, FloatArray
-from daq.rig import parse_rig
+from daq import Dataset, FloatArray, parse_rig
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import Mechanism, leg2, simulate
 from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
+from experiments.emulation import LegBody, record_emulated
+from experiments.excite import random_multisine
 from tests.support.mujoco_leg import random_leg
 from tests.support.mujoco_leg import record as record_mujoco
 from tests.support.runs import load_run

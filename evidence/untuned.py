@@ -10,17 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.dataset import Dataset, FloatArray
-from daq.rig import Rig, parse_rig
-from daq.runs.csv_run import write_csv
-from estimator.fitting.fit import fit
+from daq import Dataset, FloatArray, Rig, parse_rig
+from daq.runs import write_csv
+from estimator import fit
 from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments import cli
 from experiments.session import load_runs, setup_of, with_choices
-from experiments.workflows import fit_runs
-from experiments.workflows.tune import tune_runs
+from experiments.workflows import fit_runs, tune_runs
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.paths import REAL
 

@@ -13,12 +13,11 @@ import numpy as np
 
 from daq import FloatArray
 from daq.runs import write_csv
-from estimator.fitting.fit import fit
+from estimator import FitResult, fit
+from estimator.likelihood import slack_of
 from estimator.likelihood.latent_problem import PIECE
-from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.memory import pieces
 from estimator.model import Collocation, Motion
-from estimator.result import FitResult
 from evidence.bench.record import OPTIONS, Posed, Recorded, Watch, pose
 from evidence.frame import new_folder
 from tests.support.assembly_numpy import accelerometer_rows, motion_rows

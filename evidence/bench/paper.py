@@ -7,7 +7,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.fitting.mle_free import FreeProblem, build_problem, first_latents
-from estimator.signals.segments import split_signals
+from estimator.signals import split_signals
 from evidence.bench.record import OPTIONS, Recorded, Watch
 
 STEP = 3e-3

@@ -13,8 +13,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from estimator.diagnosis.decision_rule import MATERIAL
-from estimator.parallel import cores, worker_pool
+from estimator import cores, worker_pool
+from estimator.diagnosis import MATERIAL
 from evidence.blind.page import COLUMNS, answer_file, read, tables
 from evidence.blind.plan import FAMILIES, RECORDS, PlannedCase, choose, here, one_round, plan
 from evidence.blind.run import diagnose, failed, keep, parse_seeds

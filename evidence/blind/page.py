@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.decision_rule import EDGE, MATERIAL
+from estimator.diagnosis import MATERIAL
+from estimator.diagnosis.decision_rule import EDGE
 from evidence.blind import records
 from evidence.blind.calibration import Stated, fit, left_out
 from evidence.blind.plan import FAMILIES, PlannedCase

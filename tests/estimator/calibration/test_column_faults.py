@@ -7,15 +7,12 @@ from functools import partial
 import numpy as np
 from pytest import approx, fixture, mark
 
-from daq import FloatArray
-from daq.dataset import Dataset
-from estimator.calibration.column_faults import find_remedies
-from estimator.calibration.imu_faults import read_imu, wrong_lever
-from estimator.model.chain import chain
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset, FloatArray
+from estimator import FitOptions
+from estimator.calibration import find_remedies, read_imu, wrong_lever
+from estimator.model import chain, leg2
 from estimator.signals import lowpass
-from experiments.session.suspicion import Suspicion, suspect
+from experiments.session import Suspicion, suspect
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 

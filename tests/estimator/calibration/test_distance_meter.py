@@ -6,11 +6,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 
-from daq.dataset import Dataset
-from estimator.calibration.distance_meter import DistanceMeter, angle_record
-from estimator.errors import FitError
-from estimator.fitting.fit import fit
-from studies.biped3.study import CASES, case_options, noisy_record, truth
+from daq import Dataset
+from estimator import FitError, fit
+from estimator.calibration import DistanceMeter, angle_record
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record, truth
 from studies.walker import motor_mechanism, one_step
 
 METER = DistanceMeter(mount_m=0.6, gamma_rad=0.5, sigma_m=1e-3, sigma_per_m=2e-3)

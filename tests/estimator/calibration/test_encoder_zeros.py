@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 from pytest import approx, fixture, raises
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
-from estimator.calibration.encoder_zeros import differing_text, find_differing, find_zeros, subtract
-from estimator.errors import FitError
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from daq.runs import write_csv
+from estimator import FitError, FitOptions
+from estimator.calibration import differing_text, find_differing, find_zeros, subtract
+from estimator.model import leg2
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell, document
 

@@ -9,16 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pytest import fixture, mark
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import FitOptions
 from estimator.calibration.windows import CLEAR
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from estimator.model import leg2
 from evidence.blind.excite import draw
 from evidence.blind.leg import GRAVITY, Array, Leg, stack
 from evidence.blind.measure import RATE_HZ, Sensors, disturb, imu
 from evidence.blind.physics import integrate
 from evidence.emulated_legs import SPREAD
-from experiments.session.suspicion import Suspicion, suspect
+from experiments.session import Suspicion, suspect
 
 SECONDS, LEVER_M = 10.0, 0.2
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")

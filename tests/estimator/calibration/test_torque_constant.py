@@ -3,8 +3,8 @@
 import numpy as np
 from pytest import approx, mark, raises
 
-from estimator.calibration.torque_constant import Holds, Weight, fit_torque_constant
-from estimator.errors import FitError
+from estimator import FitError
+from estimator.calibration import Holds, Weight, fit_torque_constant
 
 G = 9.81
 WEIGHT = Weight(0.5, 0.25)

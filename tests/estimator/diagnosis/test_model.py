@@ -10,7 +10,7 @@ from pytest import MonkeyPatch, approx, mark, raises
 from scipy.integrate import solve_ivp
 
 from daq import Dataset
-from estimator import Effect, FitError, FitOptions
+from estimator import Effect, FitError, FitOptions, fit
 from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import measure
@@ -34,9 +34,8 @@ from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.effects.quadratic_drag import QuadraticDrag
 from estimator.effects.torque_ripple import TorqueRipple
-from estimator.fitting import converge_motion, fit, fit_nominal
-from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State
-from estimator.likelihood.free_run import free_run
+from estimator.fitting import converge_motion, fit_nominal
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State, free_run
 from estimator.model import joint1, leg2
 from estimator.prediction import per_value, white_noise
 from estimator.score import default_tolerances

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from daq import Dataset
 from estimator import FitError, FitOptions, fit
-from estimator.fitting.fit_each import fit_each
+from estimator.fitting import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
 from estimator.model import leg2
 from studies.biped3 import CASES

@@ -12,7 +12,7 @@ from estimator.fitting.run_levels import Column, RunLevels, run_levels
 from estimator.likelihood import LatentProblem, Latents, Noise, NoiseScale
 from estimator.model import ImuPlace, leg2
 from estimator.signals import imu_columns, split_signals
-from experiments.reports.fit_text import fit_text
+from experiments.reports import fit_text
 from tests.support.fits import document_of
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, disturbed, move, random_tree, torques

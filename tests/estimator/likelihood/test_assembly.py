@@ -10,8 +10,7 @@ from pytest import MonkeyPatch, approx, mark
 from estimator import Effect
 from estimator.effects import library
 from estimator.likelihood import Candidate, LatentProblem, Latents, Linearised, Noise, Stage, latent_problem
-from estimator.model import ImuPlace, Mechanism, biped3, joint1, leg2
-from estimator.model.chain import chain
+from estimator.model import ImuPlace, Mechanism, biped3, chain, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
 from estimator.signals import SignalSet, imu_columns
 from tests.support import assembly_numpy

@@ -17,9 +17,18 @@ from estimator.effects.base_compliance import BaseCompliance
 from estimator.effects.presliding_friction import PreslidingFriction
 from estimator.effects.rotor_inertia import RotorInertia
 from estimator.effects.torque_saturation import TorqueSaturation
-from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction, pieces
-from estimator.likelihood.effective_samples import effective_samples
-from estimator.likelihood.free_run import _Plant, free_run
+from estimator.likelihood import (
+    LatentProblem,
+    Latents,
+    Noise,
+    Stage,
+    State,
+    effective_samples,
+    find_stiction,
+    free_run,
+    pieces,
+)
+from estimator.likelihood.free_run import _Plant
 from estimator.model import Mechanism, joint1, leg2
 from estimator.signals import SignalSet, torque_of
 from tests.support.mujoco_leg import Leg, record

@@ -8,8 +8,7 @@ from pytest import approx, mark
 
 from daq import FloatArray
 from estimator import FitOptions
-from estimator.fitting import converge_motion
-from estimator.fitting.disturbance import Disturbance, disturbance_likelihood
+from estimator.fitting import Disturbance, converge_motion, disturbance_likelihood
 from estimator.likelihood import LatentProblem, Latents, Noise, State, log_marginal
 from estimator.model import joint1, leg2
 from estimator.signals import SignalSet, split_signals

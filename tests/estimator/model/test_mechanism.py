@@ -6,8 +6,7 @@ import pytest
 from numpy.random import Generator, default_rng
 from numpy.testing import assert_allclose
 
-from estimator.model import Mechanism, biped3, joint1, leg2
-from estimator.model.chain import chain
+from estimator.model import Mechanism, biped3, chain, joint1, leg2
 from estimator.signals import accelerometer
 from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.mujoco_tree import random_tree

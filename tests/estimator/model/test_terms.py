@@ -4,8 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 
-from estimator.model import Collocation, Mechanism, Motion, Parameter, biped3, joint1, leg2
-from estimator.model.chain import chain
+from estimator.model import Collocation, Mechanism, Motion, Parameter, biped3, chain, joint1, leg2
 from estimator.model.terms import TERMS
 from tests.support.assembly_numpy import evaluate
 
