@@ -5,8 +5,6 @@
     python -m evidence --index                # docs/evidence/index.md anew
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 import time

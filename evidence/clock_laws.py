@@ -7,10 +7,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from daq.runs.streams import CLOCK
-from daq.timing.clock import fit_ticks
+from daq.timing import fit_ticks
 from evidence.frame import Lines, program, table
 
 EPOCH = 7_000_000_000_000
@@ -25,8 +26,8 @@ class Law(NamedTuple):
     """Delays [s] of n pings down and of their answers up, without stalls."""
 
     name: str
-    down: Callable[[np.random.Generator, int], Floats]
-    up: Callable[[np.random.Generator, int], Floats]
+    down: Callable[[Generator, int], Floats]
+    up: Callable[[Generator, int], Floats]
     allowed_s: float
     """Largest error that is called good; infinite where the hardware allows none."""
 
@@ -68,14 +69,14 @@ class Run(NamedTuple):
     bound_s: float
 
 
-def oscillator(rng: np.random.Generator) -> Oscillator:
+def oscillator(rng: Generator) -> Oscillator:
     """40 to 200 ppm either way, drifting by up to 4 and warming up by up to 3 ppm; ticks wrap in most runs."""
     sign = float(rng.choice([-1.0, 1.0]))
     return Oscillator(sign * rng.uniform(40, 200), rng.uniform(-4, 4), rng.uniform(-3, 3), rng.uniform(60, 300),
                       int(2**32 - rng.uniform(0, 400e6)))
 
 
-def simulate(law: Law, rng: np.random.Generator, start_s: float = 0.0, end_s: float = SECONDS) -> Run:
+def simulate(law: Law, rng: Generator, start_s: float = 0.0, end_s: float = SECONDS) -> Run:
     """Pings over [start, end), the fit, and its worst error at 2 Hz over the same time."""
     clock = oscillator(rng)
     sent = np.arange(start_s, end_s, 1.0 / PINGS_HZ) + rng.uniform(0, 0.05)
@@ -84,12 +85,11 @@ def simulate(law: Law, rng: np.random.Generator, start_s: float = 0.0, end_s: fl
         way += np.where(rng.random(sent.size) < STALLS, rng.uniform(0, LONGEST_STALL_S, sent.size), 0.0)
     arrived = sent + down
     left = arrived + TURNAROUND_S
-    back = left + up
     probes = np.zeros(sent.size, CLOCK.dtype)
-    probes["host_tx_ns"] = EPOCH + np.rint(sent * 1e9)
-    probes["host_rx_ns"] = EPOCH + np.rint(back * 1e9)
-    probes["rx_tick_us"] = clock.tick_us(arrived) % 2**32
-    probes["tx_tick_us"] = clock.tick_us(left) % 2**32
+    for field, at_s in (("host_tx_ns", sent), ("host_rx_ns", left + up)):
+        probes[field] = EPOCH + np.rint(at_s * 1e9)
+    for field, at_s in (("rx_tick_us", arrived), ("tx_tick_us", left)):
+        probes[field] = clock.tick_us(at_s) % 2**32
     fit = fit_ticks(probes, EPOCH)
     t = np.arange(sent[0], sent[-1], 0.5)
     late = rng.uniform(0, LONGEST_STALL_S, t.size)  # telemetry is stamped when it arrives, which may be late
@@ -97,7 +97,7 @@ def simulate(law: Law, rng: np.random.Generator, start_s: float = 0.0, end_s: fl
     return Run(float(np.abs(times - t).max()), fit.bound_s)
 
 
-def reboot(law: Law, rng: np.random.Generator) -> Run:
+def reboot(law: Law, rng: Generator) -> Run:
     """A controller that restarts in mid-run: two clocks, each fitted to its own part; the worse of both."""
     at = rng.uniform(30, SECONDS - 30)
     parts = [simulate(law, rng, 0.0, at), simulate(law, rng, at + 2.0, SECONDS)]
@@ -106,7 +106,7 @@ def reboot(law: Law, rng: np.random.Generator) -> Run:
 
 def study(runs: int, seed: int) -> list[tuple[Law, list[Run], list[Run]]]:
     """(law, whole runs, runs with a reboot); a fifth as many of the latter."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return [(law, [simulate(law, rng) for _ in range(runs)], [reboot(law, rng) for _ in range(runs // 5)])
             for law in LAWS]
 
@@ -114,18 +114,18 @@ def study(runs: int, seed: int) -> list[tuple[Law, list[Run], list[Run]]]:
 
 def page(runs: int = 1000, seed: int = 1) -> Lines:
     yield from [
-        "# The controller's clock under simulated delay laws", "",
+        "# The controller's clock under simulated delay laws",
         "300 s, pings at 4 Hz, 1 % stalls up to 20 ms each way, oscillators 40 to 200 ppm off, drifting and "
         "warming up. A fifth as many runs have a reboot in the middle. The laws are assumptions "
-        "(`evidence/clock_laws.py`).", ""]
+        "(`evidence/clock_laws.py`)."]
     rows = []
     for law, whole, broken in study(runs, seed):
         worst, bound = (1e6 * np.array([getattr(run, name) for run in whole]) for name in ("worst_s", "bound_s"))
         out = sum(run.worst_s > run.bound_s for run in [*whole, *broken])
         rows.append(f"{law.name} | {worst.max():.0f} | {np.median(worst):.0f} | {np.median(bound):.0f} | {out} of "
                     f"{len(whole) + len(broken)}")
-    yield from table("law | worst error [us] | median of runs' worst [us] | median bound [us] | outside the bound",
-                     rows)
+    yield table("law | worst error [us] | median of runs' worst [us] | median bound [us] | outside the bound",
+                rows)
 
 
 main = program(page)

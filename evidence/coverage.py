@@ -7,18 +7,16 @@ through rest with a time constant of its own. `wander` is `tests.support.ornstei
 coloured disturbance torque at the knee.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
+from numpy.random import default_rng
 
-from daq import Dataset
-from estimator import FitError, FitOptions, Method, fit
+from daq import Dataset, FloatArray
+from estimator import TWO_SIDED, FitError, FitOptions, Method, fit
 from estimator.model import leg2
-from estimator.result import TWO_SIDED
 from evidence.blind import servo
 from evidence.frame import Lines, program, table, tell
 from evidence.kept import kept
@@ -45,7 +43,7 @@ def case(seed: int, friction: float, closed: bool, rate_hz: float, runs: int = 1
          ) -> tuple[Leg, list[Dataset]]:
     """A leg of which the knee's Coulomb level is this share of the peak torque, and its recorded runs, between which
     both levels scatter by this share of themselves."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     leg = replace(random_leg(rng), coulomb=(PIVOT_NM + 0.1 * friction * PEAK_NM, friction * PEAK_NM))
     found = []
     for i in range(runs):
@@ -58,7 +56,7 @@ def case(seed: int, friction: float, closed: bool, rate_hz: float, runs: int = 1
 def mujoco_case(seed: int, rate_hz: int, runs: int) -> tuple[Leg, list[Dataset]]:
     """Of a leg's recorded runs at 1 kHz every so many samples, with the sensors' noise on them."""
     leg, fine = _recorded(seed, runs)
-    rng = np.random.default_rng([seed, rate_hz])
+    rng = default_rng([seed, rate_hz])
     found = []
     for k, columns in enumerate(fine):
         kept = {name: values[:: 1000 // rate_hz].copy() for name, values in columns.items() if name != "time_s"}
@@ -70,9 +68,9 @@ def mujoco_case(seed: int, rate_hz: int, runs: int) -> tuple[Leg, list[Dataset]]
 
 
 @cache
-def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, np.ndarray]]]:
+def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, FloatArray]]]:
     servo.RATE_HZ = 1000.0
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(*MUJOCO_NM)
     fine = [servo.record(leg, servo.Plant(), dry, rng, k, 25.0 * k) for k in range(runs)]
     return replace(leg, coulomb=(0.1 * dry, dry)), fine
@@ -80,13 +78,13 @@ def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, np.ndarray]]]:
 
 def wandering_case(seed: int, ratio: float, constant_s: float) -> tuple[Leg, list[Dataset]]:
     """A leg whose knee feels a disturbance of so many times the shunt's noise."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     leg = random_leg(rng)
     return leg, [disturbed_record(leg, rng, ratio * SHUNT_NM, constant_s)]
 
 
 @kept
-def scores(seeds: Sequence[int], made: Case, sensors: str, method: Method) -> np.ndarray:
+def scores(seeds: Sequence[int], made: Case, sensors: str, method: Method) -> FloatArray:
     """(fits, 9) error of each parameter over half its interval, times 1.96; rows of fits that fail are missing."""
     found = []
     for seed in seeds:
@@ -141,22 +139,22 @@ def _row(head: str, seeds: Sequence[int], made: Case, method: Method, sensors: s
 
 PLANTS = {
     "wander": (wandering_rows, "MuJoCo's leg under a multisine of torque; an Ornstein-Uhlenbeck torque disturbs the "
-                               "knee, which its shunt\ndoes not read."),
+                               "knee, which its shunt does not read."),
     "mujoco": (mujoco_rows, "MuJoCo's leg, its friction that of MuJoCo's solver, under a position servo at 1 kHz."),
     "stickslip": (stickslip_rows, "a leg with set-valued dry friction, reversals and rest by root finding, driven at "
-                                  "1 kHz by an open-loop\nmultisine of torque, or a position controller.")}
+                                  "1 kHz by an open-loop multisine of torque, or a position controller.")}
 
 
 def page(plant: str = "stickslip", fits: int = 200, seed: int = 1000, rates: Sequence[int] = RATES) -> Lines:
     rows, told = PLANTS[plant]
     yield from [
-        f"# Do the intervals hold? {plant}", "", f"Seeds {seed} to {seed + fits - 1}. Plant: {told}",
-        "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default.",
-        "Coverage of the 95 % intervals over all parameters, then mean and rms of error over standard deviation for",
+        f"# Do the intervals hold? {plant}", f"Seeds {seed} to {seed + fits - 1}. Plant: {told} "
+        "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default. "
+        "Coverage of the 95 % intervals over all parameters, then mean and rms of error over standard deviation for "
         f"beta1 to beta9. Each row is uncertain by its number of fits: a mean by {fits**-0.5:.2f}, "
-        f"an rms by {(2 * fits) ** -0.5:.2f}.", ""]
-    yield from table("drive | friction | rate [Hz] | method | fits | coverage | mean | rms",
-                     (_row(*row) for row in rows(range(seed, seed + fits), rates)))
+        f"an rms by {(2 * fits) ** -0.5:.2f}."]
+    yield table("drive | friction | rate [Hz] | method | fits | coverage | mean | rms",
+                (_row(*row) for row in rows(range(seed, seed + fits), rates)))
 
 
 HELD = (shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row"), r"[Ss]eeds (\d+ to \d+)")

@@ -1,23 +1,17 @@
 """What can go wrong on a leg whose knee a bought drive turns: the rows of the fault matrix that apply to it."""
 
-from __future__ import annotations
-
 import math
 import signal
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.errors import WorkError
-from daq.recording.record import record_run
-from daq.rig import parse_rig
-from drivers import Lsm9ds1
-from drivers.errors import DriverError
-from drivers.lsm9ds1 import ImuConfig
+from daq import WorkError, parse_rig
+from daq.recording import record_run
+from drivers import DriverError, ImuConfig, Lsm9ds1
+from evidence.frame import new_folder
 from experiments.emulation.plant import LegPlant
 from tests.support.device_faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from tests.support.drive_bench import DriveBench
@@ -46,7 +40,7 @@ AFTER_S = 0.4
 class DriveFaultBench(DriveBench, Strikes):
     """One recording of a drive on virtual time; `fault` strikes once, at `moment`."""
 
-    def __init__(self, kind: str, fault: Callable[[DriveFaultBench], None], moment: str, seed: int = 4) -> None:
+    def __init__(self, kind: str, fault: "Fault", moment: str, seed: int = 4) -> None:
         super().__init__(kind, LegPlant(), seed)
         self.wire = FaultyLink(self.link, self.clock, FaultyWire(WireFaults(), np.random.default_rng(seed)))
         self.drive._link = self.wire  # type: ignore[attr-defined]
@@ -58,11 +52,11 @@ class DriveFaultBench(DriveBench, Strikes):
         """Time [ms] from the fault, or from the first torque where that came later, to the last torque that was asked
         of the motor."""
         imu = Lsm9ds1(self.bus, config=ImuConfig(238.0), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
-        with tempfile.TemporaryDirectory() as folder:
+        with new_folder() as folder:
             try:
                 self.drive.open()
                 imu.open()
-                record_run(Path(folder) / "run.mcap", parse_rig(RIG), RIG, PLAN, imu, self.drive, self.clock.now_ns,
+                record_run(folder / "run.mcap", parse_rig(RIG), RIG, PLAN, imu, self.drive, self.clock.now_ns,
                            threaded=False, progress=self._progress)
                 self.said = "nothing: the plan was driven to its end"
             except (WorkError, DriverError, ZeroDivisionError) as error:

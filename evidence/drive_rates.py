@@ -1,7 +1,5 @@
 """How fast a drive is polled on the real clock, and at what cost: its emulator in one process, the poll in another."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource
@@ -60,23 +58,18 @@ def poll(kind: str, port: str, can: str, seconds: float) -> dict[str, Any]:
         drive.open(10.0)
         drive.arm(WATCHDOG_MS)
         waits: list[int] = []
-        count, due = 0, 0.0
         warm = time.monotonic() + 2.0
-        end, began, used = warm + seconds, 0.0, 0.0
-        lost = 0
+        end, due, began, used, lost = warm + seconds, 0.0, 0.0, 0.0, 0
         while (now := time.monotonic()) < end:
             if not began and now >= warm:
-                began, used, count, waits, lost = now, _used(), 0, [], drive.stats.lost
+                began, used, waits, lost = now, _used(), [], drive.stats.lost
             if now >= due:
                 due = now + COMMAND_S
                 drive.command(0.2)
-            for one in drive.poll():
-                if one.asked_ns is not None:
-                    count += 1
-                    waits.append(one.host_ns - one.asked_ns)
+            waits += [one.host_ns - one.asked_ns for one in drive.poll() if one.asked_ns is not None]
         span = time.monotonic() - began
         return {"kind": kind, "over": WIRES[f"{kind} {wire}"], "seconds": seconds,
-                "rate": count / span, "lost": drive.stats.lost - lost, "share": (_used() - used) / span,
+                "rate": len(waits) / span, "lost": drive.stats.lost - lost, "share": (_used() - used) / span,
                 "wait_ms": float(np.median(waits)) * 1e-6, "armed": drive.armed,
                 "words": drive.words}
 

@@ -1,7 +1,5 @@
 """Emulated legs with random parameters, the rig file and labels of the studies that record them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Pinocchio and PyBullet come with `pip install "legid[engines]"`; what is not ins
 so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count, product
@@ -90,9 +88,9 @@ def page(minutes: float = 60.0, seed: int = 6200) -> Lines:
              for turn, kind in within(minutes, cases)]
     legs, rated = [one for one in found if not one.stated_hz], [one for one in found if one.stated_hz]
     yield from [
-        "# Other engines and stated rates", "",
+        "# Other engines and stated rates",
         f"Healthy legs of random parameters, {RUNS} runs of {SECONDS:g} s as CSV, answered by `legid fit` and `legid "
-        "diagnose`. The rig file states no hold.", "",
+        "diagnose`. The rig file states no hold.",
         f"- Engines: {', '.join(there) or 'none is installed'}. A controller of {TICK_HZ:g} Hz holds its torque, open "
         "loop or by PD on the encoder."
         + "".join(f" {name} is not installed: its legs are left out." for name in missing()),
@@ -103,9 +101,9 @@ def page(minutes: float = 60.0, seed: int = 6200) -> Lines:
         f"- Their noise of torque within a factor of two of {TORQUE_NM:g} N m: "
         f"{share(0.5 <= one.torque_nm / TORQUE_NM <= 2.0 for one in legs)}.",
         f"- Legs under a stated rate that end `none`: {share(one.verdict == 'none' for one in rated)} (95 % wanted).",
-        f"- Runs under a stated rate that say what it costs: {share(one.said for one in rated)}.", ""]
-    yield from table("engine, or hold of `make timing` | loop | log [Hz] | counts | stated [Hz] | verdict | fit | "
-                     "of beta1 to 5 within | torque noise [N m]", map(_row, (*legs, *rated)))
+        f"- Runs under a stated rate that say what it costs: {share(one.said for one in rated)}."]
+    yield table("engine, or hold of `make timing` | loop | log [Hz] | counts | stated [Hz] | verdict | fit | "
+                "of beta1 to 5 within | torque noise [N m]", map(_row, (*legs, *rated)))
     for factor in FACTORS:
         said = [one.said for one in rated if one.said and one.stated_hz == factor * one.log_hz]
         yield from (f'- At {factor:g} times the rate of the log, a run says: "{text}".' for text in said[:1])
@@ -117,9 +115,9 @@ def _row(one: Healthy) -> str:
             f"{sum(one.within[:5])} | {one.torque_nm:.4f}")
 
 
-EVIDENCE = (
-    Evidence("Are healthy legs of Pinocchio and PyBullet, and of records under another rate, left alone?",
-             "make engines", "engines.md", 60, "98 % of other engines' legs none, 90 % TRUST; 95 % none at other rates",
-             (r"other engines that end (`none`: [^(]* %)", r"fits say (TRUST: [^(]* %)",
-              r"stated rate that end (`none`: [^(]* %)")),)
+EVIDENCE = Evidence(
+    "Are healthy legs of Pinocchio and PyBullet, and of records under another rate, left alone?",
+    "make engines", "engines.md", 60, "98 % of other engines' legs none, 90 % TRUST; 95 % none at other rates",
+    (r"other engines that end (`none`: [^(]* %)", r"fits say (TRUST: [^(]* %)",
+              r"stated rate that end (`none`: [^(]* %)"))
 main = program(page)

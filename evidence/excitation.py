@@ -10,30 +10,24 @@ same prior allows within the same share of the same limits. For every plan, mode
 whole limits.
 """
 
-from __future__ import annotations
-
 import re
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib.resources import files
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from daq.recording.plan import Plan
-from daq.rig import Rig, parse_rig
-from daq.rig_limits import Limits
-from estimator.fitting.fit import fit
-from evidence.frame import Lines, program, table
+from daq import FloatArray, Limits, Rig, parse_rig
+from daq.recording import Plan
+from estimator import fit
+from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.plant import LegBody
-from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
-from experiments.models.mechanism_settings import build_mechanism
-from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.emulation import LegBody, record_emulated
+from experiments.excite import Band, Bench, Search, design
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Candidate
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism
 from experiments.session import prepare
+from tests.support.paths import DEMO_RIG
 
 WRONG = 0.2
 MARGIN = 0.8
@@ -48,14 +42,13 @@ USUAL = "chirp 0.1-5 Hz"
 DESIGNS = ("design, d", "design, worst")
 
 
-@dataclass(frozen=True)
-class Refits:
+class Refits(NamedTuple):
     """Fits of one plan's runs."""
 
     plan: Plan
-    std: np.ndarray
+    std: FloatArray
     """(seeds, p) standard errors that the fits state."""
-    error: np.ndarray
+    error: FloatArray
     """(seeds, p) estimate minus truth."""
 
 
@@ -71,12 +64,12 @@ def prior_model(body: LegBody) -> Model:
                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
 
 
-def chirp(seconds: float, low_hz: float, high_hz: float) -> np.ndarray:
+def chirp(seconds: float, low_hz: float, high_hz: float) -> FloatArray:
     """Unit chirp, its ends faded; frequency rises evenly in time."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     wave = np.sin(2 * np.pi * (low_hz * t + (high_hz - low_hz) * t**2 / (2 * seconds)))
     wave *= np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0.0, 1.0)
-    return np.asarray(wave / np.abs(wave).max())
+    return wave / np.abs(wave).max()
 
 
 def plans(bench: Bench, seconds: float) -> dict[str, Candidate]:
@@ -93,8 +86,8 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
     """Record on the emulated leg and fit, once a seed."""
     truth, std, error = np.array(body.beta()), [], []
     for seed in seeds:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "run.mcap"
+        with new_folder() as folder:
+            path = folder / "run.mcap"
             record_emulated(path, rig, rig_text, plan, seed, body)  # raises where the leg leaves the limits
             setup = prepare([path], rig).setup
         found = fit(setup.datasets, setup.mechanism, setup.options)
@@ -107,7 +100,7 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
 
 def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> Lines:
     """Lines on one set of limits."""
-    text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
+    text = DEMO_RIG.read_text()
     for key in ("torque_nm", "speed_radps", "q1_rad", "q2_rad"):
         text = re.sub(rf"^{key} = .*$", f"{key} = {getattr(limits, key)}", text, flags=re.MULTILINE)
     rig = parse_rig(text, "demo_rig.toml")
@@ -121,25 +114,25 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
     stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
     actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
     floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.planned_hz) / truth[-1]
-    yield from [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, q1 {limits.q1_rad:g} rad, "
-                f"q2 {limits.q2_rad:g} rad", ""]
+    yield (f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, q1 {limits.q1_rad:g} rad, "
+           f"q2 {limits.q2_rad:g} rad")
     for caption, rows in (("Standard error that the refits state", stated),
                           ("Root mean square of the refits' errors about the truth", actual)):
-        yield from [f"{caption}, for one minute of experiment, per cent of the value", ""]
-        yield from table(f" | {' | '.join(names)} | largest", (
+        yield f"{caption}, for one minute of experiment, per cent of the value"
+        yield table(f" | {' | '.join(names)} | largest", (
             (kind, *(f"{value:.3f}" for value in (*row, row.max()))) for kind, row in rows.items()))
-    yield from table("design | against | its worst parameter | of its error, stated and actual | largest against "
-                     "largest | geometric mean", (
+    yield table("design | against | its worst parameter | of its error, stated and actual | largest against "
+                "largest | geometric mean", (
         _against(kind, stated, actual, names) for kind in DESIGNS))
     off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
     yield from [
         f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
         f"{np.sqrt(np.mean(off**2)):.2f}.",
         f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
-        f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}.", ""]
+        f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}."]
 
 
-def _against(kind: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray], names: Sequence[str]) -> str:
+def _against(kind: str, stated: dict[str, FloatArray], actual: dict[str, FloatArray], names: Sequence[str]) -> str:
     worst = int(np.argmax(stated[USUAL]))
     ratio, real = stated[kind] / stated[USUAL], actual[kind] / actual[USUAL]
     return (f"{kind} | {USUAL} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
@@ -148,14 +141,14 @@ def _against(kind: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndar
 
 
 def page(seconds: float = 20.0, seeds: int = 8, limits: Sequence[str] = tuple(LIMITS)) -> Lines:
-    yield from ["# A designed plan against a chirp", ""]
+    yield "# A designed plan against a chirp"
     for name in limits:
         yield from section(name, LIMITS[name], seconds, range(1, seeds + 1))
 
 
-EVIDENCE = (
-    Evidence("A designed plan against a chirp of the same length and limits, by refits",
-             "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
-             (r"largest actual error against largest, default design \| \S+ \| \S+",),
-             r"noise seeds (\d+ to \d+)"),)
+EVIDENCE = Evidence(
+    "A designed plan against a chirp of the same length and limits, by refits",
+    "python -m evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
+    (r"largest actual error against largest, default design \| \S+ \| \S+",),
+    r"noise seeds (\d+ to \d+)")
 main = program(page)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from daq.runs import mcap_run
-from drivers.protocol import State, Telemetry
+from drivers import State, Telemetry
 from tests.support.device_faults import WireFaults
 from tests.support.fault_bench import FaultBench
 
@@ -58,22 +58,16 @@ def old_echo(bench: FaultBench) -> None:
     bench.firmware.says = lie
 
 
-def mirrored(bench: FaultBench) -> None:
-    then: list[float] = []
+def knee_turns(times: float) -> Fault:
+    """From where it is now the knee's angle changes by so many times what is true."""
+    def strike(bench: FaultBench) -> None:
+        then: list[float] = []
 
-    def lie(truth: Telemetry) -> Telemetry:
-        then.append(truth.knee_rad)
-        return replace(truth, knee_rad=2 * then[0] - truth.knee_rad)
-    bench.firmware.says = lie
-
-
-def scaled(bench: FaultBench) -> None:
-    then: list[float] = []
-
-    def lie(truth: Telemetry) -> Telemetry:
-        then.append(truth.knee_rad)
-        return replace(truth, knee_rad=then[0] + 2 * (truth.knee_rad - then[0]))
-    bench.firmware.says = lie
+        def lie(truth: Telemetry) -> Telemetry:
+            then.append(truth.knee_rad)
+            return replace(truth, knee_rad=then[0] + times * (truth.knee_rad - then[0]))
+        bench.firmware.says = lie
+    return strike
 
 
 def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
@@ -85,14 +79,12 @@ def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
 
 def held(first: int, last: int) -> Fault:
     """These words of a sample stay what they were."""
-    kept: list[list[int]] = []
-
-    def change(raw: list[int]) -> list[int]:
-        kept.append(raw)
-        return [*raw[:first], *kept[0][first:last], *raw[last:]]
-
     def strike(bench: FaultBench) -> None:
-        kept.clear()
+        kept: list[list[int]] = []
+
+        def change(raw: list[int]) -> list[int]:
+            kept.append(raw)
+            return [*raw[:first], *kept[0][first:last], *raw[last:]]
         imu_reads(change)(bench)
     return strike
 
@@ -114,12 +106,8 @@ def hears_nothing(bench: FaultBench) -> None:
     bench.link.read = read  # type: ignore[method-assign]
 
 
-def crashes(where: Any) -> Fault:
-    def strike(bench: FaultBench) -> None:
-        def crash(*_: Any, **__: Any) -> None:
-            raise ZeroDivisionError("crashed on purpose")
-        setattr(where(bench), "poll" if where(bench) is bench.controller else "drain", crash)
-    return strike
+def crash(*_: Any, **__: Any) -> None:
+    raise ZeroDivisionError("crashed on purpose")
 
 
 def dead_drive(bench: FaultBench) -> None:
@@ -156,8 +144,8 @@ FAULTS: dict[str, Fault] = {
     "telemetry is 300 ms old": late(150),
     "knee encoder stuck": says(knee_rad=None),
     "knee encoder invalid": says(knee_rad=NAN),
-    "knee encoder mirrored": mirrored,
-    "knee encoder counts double": scaled,
+    "knee encoder mirrored": knee_turns(-1.0),
+    "knee encoder counts double": knee_turns(2.0),
     "knee encoder jumps by 3 rad": says(knee_rad=lambda q: q + 3.0),
     "knee Hall angle stuck": says(knee_hall_rad=None),
     "pivot Hall angle stuck": says(pivot_hall_rad=None),
@@ -200,8 +188,8 @@ FAULTS: dict[str, Fault] = {
     "I2C without acknowledge": lambda bench: bench.chip.fail(121, times=10_000),
     "I2C hangs": lambda bench: bench.chip.fail(110, times=10_000),
     "host stands still for 150 ms": lambda bench: bench.clock.sleep(0.15),
-    "reading the controller crashes": crashes(lambda bench: bench.controller),
-    "reading the IMU crashes": crashes(lambda bench: bench.imu),
+    "reading the controller crashes": set_on("controller.poll", crash),
+    "reading the IMU crashes": set_on("imu.drain", crash),
     "Ctrl-C": signalled(signal.SIGINT),
     "SIGTERM": signalled(signal.SIGTERM),
     "disk full": set_on("disk._room", 0),

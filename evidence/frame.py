@@ -1,29 +1,31 @@
 """The frame of a study: arguments, the cases that its minutes hold, tables, shares, the page with how it was made.
 
-A study is a generator of its page's lines, the title first. Its arguments with their defaults are those of the command
-line, and what it returns is the exit status.
+A study is a generator of its page's blocks, the title first: headings, paragraphs, points of a list, tables. Its
+arguments with their defaults are those of the command line, and what it returns is the exit status.
 
     def page(minutes: float = 20.0, seed: int = 6500) -> Lines: ...
     main = program(page)
 """
 
-from __future__ import annotations
-
 import argparse
 import inspect
+import re
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from evidence.blind.score import Rate
-from studies.machine import machine
+from studies import machine
 
 Case = TypeVar("Case")
 Lines = Generator[str, None, Any]
-"""Of a page, and the exit status."""
+"""Blocks of a page, and the exit status."""
 WORDS = {"minutes": "after which no other case is begun", "seed": "of the first case", "fits": "of each row",
          "legs": "at most", "snapshots": "a folder with a clone of each public repository"}
 
@@ -48,12 +50,29 @@ def share(hits: Iterable[object]) -> str:
     return str(Rate(sum(every), len(every))) if every else "-"
 
 
-def table(titles: str, rows: Iterable[str | Iterable[object]]) -> Iterator[str]:
-    """Lines of a table with an empty one behind; `titles` and rows of text have a bar between cells."""
-    yield from (f"| {titles} |", f"|{' --- |' * (titles.count('|') + 1)}")
-    for row in rows:
-        yield f"| {row if isinstance(row, str) else ' | '.join(str(cell).replace('|', '/') for cell in row)} |"
-    yield ""
+@contextmanager
+def new_folder() -> Iterator[Path]:
+    """An empty folder, which is gone afterwards."""
+    with TemporaryDirectory() as place:
+        yield Path(place)
+
+
+@contextmanager
+def heard() -> Iterator[StringIO]:
+    """What is printed meanwhile, errors too."""
+    with redirect_stdout(StringIO()) as said, redirect_stderr(said):
+        yield said
+
+
+def table(titles: str, rows: Iterable[str | Iterable[object]]) -> str:
+    """A table; `titles` and rows of text have a bar between cells."""
+    cells = (row if isinstance(row, str) else " | ".join(str(cell).replace("|", "/") for cell in row) for row in rows)
+    return "\n".join([f"| {titles} |", f"|{' --- |' * (titles.count('|') + 1)}", *(f"| {row} |" for row in cells)])
+
+
+def joined(blocks: Iterable[str]) -> str:
+    """A page: an empty line between blocks, none between the points of a list."""
+    return re.sub(r"^(- .*)\n\n(?=- )", r"\1\n", "\n\n".join(blocks), flags=re.MULTILINE)
 
 
 def program(page: Callable[..., Lines]) -> Callable[[Sequence[str]], int]:
@@ -74,10 +93,10 @@ def program(page: Callable[..., Lines]) -> Callable[[Sequence[str]], int]:
         out: Path | None = given.pop("out")
         told = [f"--{key.replace('_', '-')} {' '.join(map(str, v)) if isinstance(v, tuple | list) else v}"
                 for key, v in given.items() if v != defaults[key]]
-        lines, status = _exhausted(page(**given))
+        (title, *blocks), status = _exhausted(page(**given))
         seeds = f" (seed {given['seed']})" if "seed" in given else ""
         made = f"Made by `{' '.join([parser.prog, *told])}`{seeds}, {datetime.now(UTC):%Y-%m-%d}, {machine()}."
-        text = "\n".join([lines[0], "", made, *lines[1:]]).rstrip("\n") + "\n"
+        text = f"{joined([title, made, *blocks])}\n"
         print(text)
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)

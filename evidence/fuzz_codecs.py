@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
 from fastcrc import crc16
+from numpy.random import Generator, default_rng
 
-from drivers import dynamixel
+from drivers import FaultReport, Hello, Message, Pong, Telemetry, dynamixel
 from drivers.can_codec import CanCodec
-from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, Telemetry, encode
+from drivers.protocol import Decoder, Fault, encode
 from evidence.frame import Lines, program
 from evidence.kept import kept
 from evidence.registry import Evidence, shares
@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
                 f"0 crashes, {self.seconds:.0f} s")
 
 
-def message(rng: np.random.Generator, k: int) -> Message:
+def message(rng: Generator, k: int) -> Message:
     """A valid message, different for every k."""
     kind = rng.integers(8)
     angle = (k % 100_000_000) / 1e6
@@ -60,18 +60,19 @@ def message(rng: np.random.Generator, k: int) -> Message:
     return replace(TELEMETRY, seq=k % 65536, tick_us=k, knee_rad=angle, pivot_hall_rad=-angle, current_a=angle)
 
 
-def noise(rng: np.random.Generator) -> bytes:
+def noise(rng: Generator) -> bytes:
     """A frame of random bytes; half of them whole COBS frames of a known type and length, all but the check sum."""
     if rng.random() < 0.5:
         return rng.bytes(int(rng.integers(1, 90))) + b"\0"
-    kind, size = [(0x81, 33), (0x82, 18), (0x83, 10), (0x84, 12)][int(rng.integers(4))]
+    kind, size = [(0x81, 33), (0x82, 18), (0x83, 10), (0x84, 12)][rng.integers(4)]
     payload = bytes([kind]) + rng.bytes(size) + rng.bytes(2)
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
 
 
-def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any, noise: Callable[[], bytes],
+def _stream(frames: int, rng: Generator, decoder: Any, noise: Callable[[], bytes],
             sent: Callable[[int], Any], encoded: Callable[[Any], bytes]) -> Outcome:
     """A third noise, a third valid frames broken by the fault injector, a third whole, all in one stream."""
+    started = time.perf_counter()
     wire = FaultyWire(WireFaults(**{kind: 0.5 / len(KINDS) for kind in KINDS}), rng)
     broken = delivered = wrong = 0
     recent: deque[Any] = deque(maxlen=12)
@@ -84,7 +85,7 @@ def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any,
             parts = wire.pass_on(encoded(recent[-1]))
             broken += sum(wire.injected.values()) - before
         stream = b"".join(parts)
-        cut = int(rng.integers(0, len(stream) + 1))
+        cut = rng.integers(0, len(stream) + 1)
         for chunk in (stream[:cut], stream[cut:]):
             for got in decoder.feed(chunk):
                 delivered += 1
@@ -95,15 +96,15 @@ def _stream(frames: int, rng: np.random.Generator, started: float, decoder: Any,
 
 @kept
 def fuzz_serial(frames: int, seed: int) -> Outcome:
-    rng, decoder, started = np.random.default_rng(seed), Decoder(), time.perf_counter()
+    rng, decoder = default_rng(seed), Decoder()
     decoder.feed(b"\0")
-    return _stream(frames, rng, started, decoder, lambda: noise(rng), lambda k: message(rng, k), encode)
+    return _stream(frames, rng, decoder, lambda: noise(rng), lambda k: message(rng, k), encode)
 
 
 @kept
 def fuzz_can(frames: int, seed: int) -> Outcome:
     """Half of all frames dropped, doubled, swapped, shortened, or with a frame of noise in front."""
-    rng, codec, started = np.random.default_rng(seed), CanCodec(), time.perf_counter()
+    rng, codec, started = default_rng(seed), CanCodec(), time.perf_counter()
     wire = FaultyWire(WireFaults(**{kind: 0.25 / len(KINDS) for kind in KINDS}), rng)
     delivered = wrong = passed = k = 0
     recent: deque[Message] = deque(maxlen=12)
@@ -123,13 +124,13 @@ def fuzz_can(frames: int, seed: int) -> Outcome:
 
 @kept
 def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
-    rng, started = np.random.default_rng(seed), time.perf_counter()
+    rng = default_rng(seed)
 
     def broken() -> bytes:
         start = dynamixel.HEADER if rng.random() < 0.5 else b""
         return start + rng.bytes(int(rng.integers(1, 90)))
 
-    return _stream(frames, rng, started, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
+    return _stream(frames, rng, dynamixel.Decoder(), broken, lambda k: dynamixel.Packet(
         k % 253, dynamixel.Instruction.STATUS, 0, rng.bytes(k % 90)),
         lambda sent: dynamixel.status(sent.ident, sent.error, sent.params))
 
@@ -137,16 +138,17 @@ def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
 def page(frames: int = 1_000_000, seed: int = 1) -> Lines:
     assert crc16.ibm_3740(b"123456789") == 0x29B1
     yield from [
-        "# Fuzz of the codecs", "",
+        "# Fuzz of the codecs",
         "Serial frames that are broken must pass a 16-bit check sum to be taken. On CAN the bus itself checks; "
         "what is wrong there is noise put in behind that check, with an identifier and length that a message "
-        "has.", "", f"- serial: {fuzz_serial(frames, seed)}", f"- CAN: {fuzz_can(frames, seed)}",
+        "has.",
+        f"- serial: {fuzz_serial(frames, seed)}", f"- CAN: {fuzz_can(frames, seed)}",
         f"- Dynamixel: {fuzz_dynamixel(frames, seed)}"]
 
 
-EVIDENCE = (
-    Evidence("The host's codecs under broken frames", "python -m evidence fuzz-codecs --frames 10000000",
-             "fuzz.md", 32, "no crash",
-             shares(r"\| (?:serial|CAN) (?:\| [\d ,a-z]+ ){6}\| (\d+) \|", "crashes by codec"),
-             r"10000000`, seed (\d+)"),)
+EVIDENCE = Evidence(
+    "The host's codecs under broken frames", "python -m evidence fuzz-codecs --frames 10000000",
+    "fuzz.md", 32, "no crash",
+    shares(r"\| (?:serial|CAN) (?:\| [\d ,a-z]+ ){6}\| (\d+) \|", "crashes by codec"),
+    r"10000000`, seed (\d+)")
 main = program(page)

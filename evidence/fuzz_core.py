@@ -6,11 +6,10 @@
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
-from evidence.frame import Lines, program
+from evidence.frame import Lines, new_folder, program
 from evidence.registry import Evidence
 from tests.support.paths import ROOT
 
@@ -27,23 +26,23 @@ def build(compiler: str, out: Path) -> Path:
     return out
 
 
-EVIDENCE = (
-    Evidence("The firmware's core under broken frames, with sanitizers", "make fuzz FRAMES=20000000", "fuzz.md", 1,
-             "no crash, no finding, no check that fails",
-             (r"(crashes, findings of a sanitizer, checks that failed) \| (\d+)",), r"--seed (\d+)",
-             resumes="no: a minute"),)
+EVIDENCE = Evidence(
+    "The firmware's core under broken frames, with sanitizers", "make fuzz FRAMES=20000000", "fuzz.md", 1,
+    "no crash, no finding, no check that fails",
+    (r"(crashes, findings of a sanitizer, checks that failed) \| (\d+)",), r"--seed (\d+)",
+    resumes="no: a minute")
 
 
 def page(frames: int = 1_000_000, seed: int = 1) -> Lines:
     compiler = shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         sys.exit("make fuzz needs a C compiler with sanitizers: the Debian package gcc or clang")
-    with tempfile.TemporaryDirectory() as folder:
-        program, started = build(compiler, Path(folder) / "fuzz"), time.perf_counter()
+    with new_folder() as folder:
+        program, started = build(compiler, folder / "fuzz"), time.perf_counter()
         done = subprocess.run([program, str(frames), str(seed)], capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"seed {seed}: status {done.returncode}\n{done.stderr}")
-    yield from ["# The firmware's core under broken frames", "",
+    yield from ["# The firmware's core under broken frames",
                 f"{done.stdout.strip()}, 0 crashes, {time.perf_counter() - started:.0f} s"]
 
 

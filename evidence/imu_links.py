@@ -4,12 +4,11 @@ The plants are MuJoCo's, dynamics and sensors. All noise levels are estimated, n
 torque acts in straight lines between samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, fit
@@ -33,7 +32,7 @@ class Rig(NamedTuple):
     runs: list[Dataset]
 
 
-Draw = Callable[[np.random.Generator, list[Sensor]], Rig]
+Draw = Callable[[Generator, list[Sensor]], Rig]
 
 
 class Row(NamedTuple):
@@ -54,7 +53,7 @@ def placed(mechanism: Mechanism, sensors: list[Sensor], tree: Tree) -> Mechanism
 def hanging(links: int, seconds: float, rate_hz: float, share: float, viscous: float, coulomb: float) -> Draw:
     """A chain (a leg, of two links) that hangs from a passive pivot, driven at all other joints."""
 
-    def draw(rng: np.random.Generator, sensors: list[Sensor]) -> Rig:
+    def draw(rng: Generator, sensors: list[Sensor]) -> Rig:
         tree = random_tree(rng, range(-1, links - 1), viscous=viscous, coulomb=coulomb)
         mechanism = leg2(velocity_scale=FRICTION_RADPS) if links == 2 else chain(links, velocity_scale=FRICTION_RADPS)
         driven = range(1, links)
@@ -64,17 +63,15 @@ def hanging(links: int, seconds: float, rate_hz: float, share: float, viscous: f
     return draw
 
 
-def walker(rng: np.random.Generator, sensors: list[Sensor]) -> Rig:
+def walker(rng: Generator, sensors: list[Sensor]) -> Rig:
     """Steps of a walker over its passive stance foot: torso held up, swing leg brought forward, multisines on top."""
     tree = random_tree(rng, (-1, 0, 0), length=0.6, mass=5.0, viscous=0.0, coulomb=0.0, upright=True)
-    runs = []
-    for step in range(STEPS):
-        motion = one_step(tree, rng, sensors)
-        runs.append(disturbed(motion, (1, 2), WALKER_HZ, rng, WALKER_NOISE, f"step {step + 1}"))
+    runs = [disturbed(one_step(tree, rng, sensors), (1, 2), WALKER_HZ, rng, WALKER_NOISE, f"step {step + 1}")
+            for step in range(STEPS)]
     return Rig(tree, placed(biped3(gravity_mps2=GRAVITY), sensors, tree), runs)
 
 
-def one_step(tree: Tree, rng: np.random.Generator, sensors: list[Sensor]) -> Motion:
+def one_step(tree: Tree, rng: Generator, sensors: list[Sensor]) -> Motion:
     """From behind the foot over it, as long as one step takes."""
     lean, rate, ticks = -0.28 + 0.05 * rng.normal(), 1.6 + 0.2 * rng.normal(), iter(range(10**6))
 
@@ -122,7 +119,7 @@ class Outcome(NamedTuple):
 def fit_row(name: str, seed: int) -> Outcome | str:
     """One rig of a row fitted; a fit that fails says why."""
     row = ROWS[name]
-    rig = row.draw(np.random.default_rng(seed), row.sensors)
+    rig = row.draw(default_rng(seed), row.sensors)
     truth = rig.tree.beta(rig.mechanism)
     try:
         found = fit(rig.runs, rig.mechanism, FitOptions(sensors="imu", encoders=row.encoders))
@@ -159,20 +156,20 @@ def line(name: str, seeds: range) -> tuple[str, list[str]]:
 def page(fits: int = 24, seed: int = 4000, rows: Sequence[str] = tuple(ROWS)) -> Lines:
     found = [line(name, range(seed, seed + fits)) for name in rows]
     yield from [
-        "# IMUs on any link", "",
+        "# IMUs on any link",
         f"Seeds {seed} to {seed + fits - 1} in every row. "
         "MuJoCo simulates dynamics and sensors of random plants. Legs and chains hang from a passive pivot (10 s at "
         "200 Hz, seven links 5 s at 250 Hz). A walker takes eight steps of 0.7 s at 500 Hz. Noise: gyro 0.005 rad/s, "
         "accelerometer 0.05 m/s2, encoders 0.1 mrad, torques 0.02 N m (walker 0.1). Nothing else is read and no noise "
-        "level is declared. Link lengths and the IMUs' places are exact.", ""]
-    yield from table("rig | parameters | fits | 95 % intervals that hold | mean of error / deviation | rms | median "
-                     "error | fits with anything undetermined | steps", (row for row, _ in found))
-    yield from ["+- is the scatter by chance (1 sigma over plants).", "",
+        "level is declared. Link lengths and the IMUs' places are exact."]
+    yield table("rig | parameters | fits | 95 % intervals that hold | mean of error / deviation | rms | median "
+                "error | fits with anything undetermined | steps", (row for row, _ in found))
+    yield from ["+- is the scatter by chance (1 sigma over plants).",
                 *(f"- {text}" for _, troubles in found for text in troubles)]
 
 
-EVIDENCE = (
-    Evidence("IMUs on any links and a subset of encoders: do the intervals hold?", "make imu-links FITS=24",
-             "imu-links.md", 12, "95 % in every row",
-             shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row"), r"[Ss]eeds (\d+ to \d+)"),)
+EVIDENCE = Evidence(
+    "IMUs on any links and a subset of encoders: do the intervals hold?", "make imu-links FITS=24",
+    "imu-links.md", 12, "95 % in every row",
+    shares(r"\| (\d+\.\d) % \+-", "% of the intervals hold, by row"), r"[Ss]eeds (\d+ to \d+)")
 main = program(page)

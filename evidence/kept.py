@@ -4,8 +4,6 @@ Each piece's result is a file below build/evidence/, named by the piece's functi
 source: after a change of the program every piece is measured anew. `make clean` removes them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.rig import load_rig
-from daq.runs.mcap_run import RunWriter
-from drivers import DriverError, lsm9ds1_registers, open_bus
-from drivers.i2c_bus import read_registers
+from daq import load_rig
+from daq.runs import RunWriter
+from drivers import DriverError, lsm9ds1_registers, open_bus, read_registers
 from experiments.cli import main as legid
 from experiments.rig.devices import connect
 from tests.support.paths import ROOT

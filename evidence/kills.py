@@ -7,29 +7,26 @@ process must leave the first whole. One of them is a stranger: it takes samples 
 lock, as a script does; that recording must end itself, or every reader flags it. A fault is everything else.
 """
 
-import io
 import mmap
 import os
 import re
 import signal
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
-from daq.recording.plan import write_plan
-from daq.rig import load_rig
-from daq.runs import read_run
-from daq.runs.mcap_run import FLUSH_MESSAGES, recover
-from daq.timing.notes import configured
-from evidence.frame import Lines, program, table, tell, within
+from daq import InputError, load_rig
+from daq.recording import write_plan
+from daq.runs import read_run, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES
+from daq.timing import configured
+from evidence.frame import Lines, heard, new_folder, program, table, tell, within
 from evidence.kept import kept
 from evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch
 from evidence.registry import Evidence
@@ -62,13 +59,18 @@ class Killed(NamedTuple):
     fault: str = ""
 
 
+def command_of(rig: Path, out: Path) -> list[str]:
+    """A recording by the plan beside the rig file."""
+    return ["record", "--rig", str(rig), "--plan", str(rig.with_name("plan.csv")), "--out", str(out)]
+
+
 def kill_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, kill at a moment drawn from seed and number, look at what is left."""
     path, said, counts = _files(folder, "kill_one", number)
     rng = np.random.default_rng((seed, number))
     unlatch(rig)
-    pid = start(["record", "--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(path)], said, counts)
-    time.sleep(float(rng.uniform(0.0, WHOLE_S)))
+    pid = start(command_of(rig, path), said, counts)
+    time.sleep(rng.uniform(0.0, WHOLE_S))
     os.kill(pid, signal.SIGKILL)  # one that has ended is a zombie still
     status = ended(pid)
     given, handed = COUNTS.unpack_from(counts)
@@ -102,11 +104,11 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
     faults += [f"recovered {report.messages} messages, {fixed.messages} are read"] * (
         not fixed.complete or fixed.messages != raw.messages)
     for command in (["info", str(path)], ["fit", str(path)]):
-        heard = io.StringIO()
-        with redirect_stdout(heard), redirect_stderr(heard):
+        with heard() as told_by:
             status = legid(command)
-        faults += [f"{command[0]} ends with {status}: {heard.getvalue()[-300:]}"] * (
-            status not in (0, 1, 2) or "internal error" in heard.getvalue() or (command[0] == "info" and status != 0))
+        text = told_by.getvalue()
+        faults += [f"{command[0]} ends with {status}: {text[-300:]}"] * (
+            status not in (0, 1, 2) or "internal error" in text or (command[0] == "info" and status != 0))
     return Killed("cut off, read and recovered" if raw.messages else "cut off before the first message", max(lost, 0),
                   "; ".join(faults))
 
@@ -115,19 +117,17 @@ def disturb_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, and let a second process at the same devices or file meanwhile."""
     path, said, counts = _files(folder, "disturb_one", number)
     rng = np.random.default_rng((seed, number))
-    plan = str(folder / "plan.csv")
     unlatch(rig)
     other, heard = path.with_suffix(".other.mcap"), path.with_suffix(".heard.txt")
-    refused = [["record", "--rig", str(rig), "--plan", plan, "--out", str(other)],
-               ["record", "--rig", str(rig), "--plan", plan, "--out", str(path)], ["doctor", "--rig", str(rig)],
+    refused = [command_of(rig, other), command_of(rig, path), ["doctor", "--rig", str(rig)],
                ["calibrate", "imu", "--rig", str(rig)]]
     harmless = [["info", str(path)], ["recover", str(path), "--out", str(other)], ["fit", str(path)]]
-    pid = start(["record", "--rig", str(rig), "--plan", plan, "--out", str(path)], said, counts)
+    pid = start(command_of(rig, path), said, counts)
     deadline = time.monotonic() + PATIENCE_S
     while not COUNTS.unpack_from(counts)[0] and time.monotonic() < deadline:
         time.sleep(0.005)
-    time.sleep(float(rng.uniform(0.0, 1.5)))
-    command = [*refused, *harmless, [STRANGER]][int(rng.integers(len(refused + harmless) + 1))]
+    time.sleep(rng.uniform(0.0, 1.5))
+    command = [*refused, *harmless, [STRANGER]][rng.integers(len(refused + harmless) + 1)]
     if command == [STRANGER]:
         return _shared(pid, take(rig, seed + number, heard), path, said, heard)
     second = start(command, heard)
@@ -200,14 +200,13 @@ def ready(folder: Path) -> Iterator[Path]:
         text = re.sub(r"^(staleness_s|clock_bound_s) = .*\n", "", rig.read_text(), flags=re.MULTILINE)
         rig.write_text(text.replace("[limits]\n", PATIENT).replace("watchdog_ms = 500", "watchdog_ms = 1000"))
         write_plan(sine(PLAN_S, 0.3), folder / "plan.csv")
-        first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
-        with redirect_stdout(io.StringIO()):
-            legid(["record", *first])  # loads once what every fork would load
+        with heard():
+            legid(command_of(rig, folder / "first.mcap"))  # loads once what every fork would load
         yield rig
 
 
 def page(kills: int = 1000, disturbed: int = 1000, minutes: float = 240.0, seed: int = 1) -> Lines:
-    with tempfile.TemporaryDirectory() as place, ready(Path(place)) as rig:
+    with new_folder() as folder, ready(folder) as rig:
 
         @kept
         def one(name: str, number: int, seed: int) -> Killed:
@@ -222,23 +221,23 @@ def page(kills: int = 1000, disturbed: int = 1000, minutes: float = 240.0, seed:
     lost = [k.lost for k in killed if k.outcome.startswith("cut off")] or [0]
     faults = [k.fault for k in (*killed, *others) if k.fault]
     yield from [
-        "# Recordings killed, and a second process at their devices", "",
+        "# Recordings killed, and a second process at their devices",
         f"{len(killed)} and {len(others)} recordings: `legid record` on an emulated rig in a process of its own, over "
-        "a port and a bus, in real time.", "", "## SIGKILL at any moment of a recording", ""]
-    yield from table("found afterwards | times", _counts(killed))
+        "a port and a bus, in real time.", "## SIGKILL at any moment of a recording"]
+    yield table("found afterwards | times", _counts(killed))
     yield from [
         f"{sum(not k.outcome.startswith('ended') for k in killed)} were killed while they ran. A file that was cut off "
         "holds every message that reached the system, "
         "reports its missing end, and recovers to a whole file. The recorder lost "
         f"{np.median(lost):.0f} messages in the median, {max(lost)} at most; it hands them over every "
         f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
-        "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
-        "## A second process at the same devices, or at the file that is written", ""]
-    yield from table(" | times", _counts(others))
+        "acknowledged. Recordings that ended themselves named a limit or a time-out.",
+        "## A second process at the same devices, or at the file that is written"]
+    yield table(" | times", _counts(others))
     yield from [
         "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
         "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
-        "every reader of the run reports that.", "", *(f"- {fault}" for fault in faults)]
+        "every reader of the run reports that.", *(f"- {fault}" for fault in faults)]
     return len(faults)
 
 
@@ -247,8 +246,8 @@ def _counts(found: Sequence[Killed]) -> list[tuple[str, int]]:
     return [*Counter(k.outcome for k in found).most_common(), ("faults", sum(bool(k.fault) for k in found))]
 
 
-EVIDENCE = (
-    Evidence("Recordings killed at any moment, and a second process at their devices", "make kills", "kills.md", 90,
-             "no fault", (r"\d+ were killed while they ran", r"\| (faults) \| (\d+)",
-                          r"lost \d+ messages in the median, \d+ at most")),)
+EVIDENCE = Evidence(
+    "Recordings killed at any moment, and a second process at their devices", "make kills", "kills.md", 90,
+    "no fault", (r"\d+ were killed while they ran", r"\| (faults) \| (\d+)",
+                          r"lost \d+ messages in the median, \d+ at most"))
 main = program(page)

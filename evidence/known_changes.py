@@ -4,20 +4,15 @@ The records are no part of the project. `--snapshots DIR` is a folder with a clo
 files are taken from the commit that the page names.
 """
 
-from __future__ import annotations
-
 import json
-import tempfile
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evidence.emulated_legs import label
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
-from evidence.machines import answer, clones, shown, typed
+from evidence.machines import Row, clones, commands_table, shown, timed
 from evidence.registry import Evidence
 
 REPOSITORY, COMMIT = "dfki-ric-underactuated-lab/double_pendulum", "1e8544e67f3da72a51ee52fbbb278e131ce2a43f"
@@ -54,8 +49,7 @@ cutoff_hz = 3.0
 """
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """Two sessions, what the authors changed between them, and what they publish of it."""
 
     title: str
@@ -89,8 +83,7 @@ PAIRS = (
 class Said(NamedTuple):
     """What came of a pair's commands."""
 
-    rows: list[tuple[str, float, int, str]]
-    """Command, seconds, exit status, first line of the answer"""
+    rows: Sequence[Row]
     document: dict[str, Any]
     """The pair in the comparison's JSON; empty without one"""
 
@@ -99,8 +92,7 @@ class Said(NamedTuple):
 def compared(pair: Pair, snapshot: Path) -> Said:
     """The pair's commands, typed in a new folder."""
     rows, a, b = [], *pair.sessions
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         (folder / "rig.toml").write_text(RIG)
         (folder / "columns.toml").write_text(COLUMNS)
         for session in (a, b):
@@ -110,10 +102,7 @@ def compared(pair: Pair, snapshot: Path) -> Said:
         for command in (f"legid import {a}/*.csv --out runs{a} --map columns.toml",
                         f"legid import {b}/*.csv --out runs{b} --map columns.toml",
                         f"legid compare runs{a} runs{b} --rig rig.toml --json compare.json"):
-            began = time.monotonic()
-            done = typed(command, folder)
-            rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            tell(*rows[-1])
+            rows.append(timed(command, folder))
         out = folder / "compare.json"
         return Said(rows, json.loads(out.read_bytes())["pairs"][0] if out.exists() else {})
 
@@ -121,26 +110,23 @@ def compared(pair: Pair, snapshot: Path) -> Said:
 def page(snapshots: str = "") -> Lines:
     (place,) = clones(snapshots, [REPOSITORY])
     yield from [
-        "# Known changes of a public machine", "",
+        "# Known changes of a public machine",
         f"[{REPOSITORY}](https://github.com/{REPOSITORY}), commit `{COMMIT[:10]}`, licence: BSD-3-Clause. A double "
         "pendulum with two motors and encoders was recorded in three designs. The files `model_parameters.yml` below "
         "`data/system_identification/identified_parameters` say what differs. The records are no part of the project.",
-        "", "The rig file, and the map by hand:", "", "```toml", RIG.rstrip(), "```", "", "```toml", COLUMNS.rstrip(),
-        "```", ""]
+        "The rig file, and the map by hand:", f"```toml\n{RIG}```", f"```toml\n{COLUMNS}```"]
     for number, pair in enumerate(PAIRS, 1):
         said = compared(pair, place)
-        yield from [f"## {number}. {pair.title}", "", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}",
-                    ""]
-        yield from table("command | s | exit | answer", (
-            (f"`{command}`", f"{seconds:.0f}", status, line) for command, seconds, status, line in said.rows))
-        yield from table("cause | size | value | 95 % interval", (
+        yield from [f"## {number}. {pair.title}", f"From {pair.sessions[0]} to {pair.sessions[1]}. {pair.changed}"]
+        yield commands_table(said.rows)
+        yield table("cause | size | value | 95 % interval", (
             f"{label(cause['effect'], cause['joint'])} | {size['name']} [{size['unit']}] | {size['value']:.3g} | "
             f"{size['ci95'][0]:.3g} to {size['ci95'][1]:.3g}"
             for cause in said.document.get("causes", ()) for size in cause["size"]))
-        yield from table("published | before | after | change", (
+        yield table("published | before | after | change", (
             f"{name} | {before:.3g} | {after:.3g} | {after - before:+.3g}"
             for name, (before, after) in pair.published.items()))
-        yield from [*(f"- {remark}" for remark in pair.remarks), ""]
+        yield from (f"- {remark}" for remark in pair.remarks)
 
 
 def verdicts(text: str) -> str:
@@ -149,7 +135,7 @@ def verdicts(text: str) -> str:
     return "; ".join(one.split(", and something else")[0] for one in said)
 
 
-EVIDENCE = (
-    Evidence("Public records of a machine whose links were changed, and of one built anew",
-             "python -m evidence known-changes", "known-changes.md", 4, "the change is named", verdicts),)
+EVIDENCE = Evidence(
+    "Public records of a machine whose links were changed, and of one built anew",
+    "python -m evidence known-changes", "known-changes.md", 4, "the change is named", verdicts)
 main = program(page)

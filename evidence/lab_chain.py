@@ -5,8 +5,6 @@ late. Faults of sensors are drawn with the standard deviations in FAULTS; `legid
 as files, by a rig file that knows none of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
 from typing import NamedTuple
@@ -32,9 +30,6 @@ FAULTY = 2.0
 """Standard deviations beyond which a fault that is named is one."""
 IMUS = ((0.0, 0.0), (0.001, 100.0), (0.001, 50.0))
 """Age [s] and low pass [Hz] of the IMU, in turn."""
-EFFECTS = {"gyro_scale": "gyro_scale", "accelerometer_bias": "accelerometer_bias.x accelerometer_bias.y",
-           "imu_misalignment": "imu_misalignment", "imu_lever_arm": "imu_lever_arm", "torque_offset": "torque_offset",
-           "encoder_offset": "zero"}
 
 
 class Answer(NamedTuple):
@@ -73,16 +68,16 @@ def answer(seed: int, turn: int) -> Answer:
         columns |= {"tau2_nm": gain * run["tau2_nm"], "q2_rad": run["q2_rad"] + zero}
         runs.append(replace(run, columns=columns))
     fit, inside, trust, found, _ = answered(leg, runs)
-    there = {name: any(abs(faults.get(key, zero)) > FAULTY * FAULTS.get(key, ZERO_RAD) for key in keys.split())
-             for name, keys in EFFECTS.items()}
-    there |= {"sensor_time_skew": cutoff_hz > 0.0, "joint_stiffness": spring > 0.0}
+    there = {name.partition(".")[0] for name, sigma in FAULTS.items() if abs(faults[name]) > FAULTY * sigma}
+    there |= {name for name, is_there in (("encoder_offset", abs(zero) > FAULTY * ZERO_RAD),
+                                          ("joint_stiffness", spring), ("sensor_time_skew", cutoff_hz)) if is_there}
     stiffness = next((s.ci95 for c in found.details.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
                       for s in c.size if s.name == "stiffness"), None)
     values = dict(zip(fit.mechanism.names, fit.beta, strict=True))
     return Answer(turn, spring, cutoff_hz > 0.0, inside,
                   100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], leg.beta()[:5])),
                   trust, found.verdict, tuple(c.effect for c in found.causes),
-                  tuple(there.get(c.effect, False) for c in found.causes), stiffness,
+                  tuple(c.effect in there for c in found.causes), stiffness,
                   found.details.error or (np.nan, np.nan))
 
 
@@ -92,13 +87,13 @@ def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
     wrong = (not any(a.true) if a.verdict == "one_of" else not all(a.true) for a in found)
     trusted = [a for a in found if a.trust == "TRUST"]
     yield from [
-        "# A lab's signal chain", "",
+        "# A lab's signal chain",
         "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. All faults at once are drawn. Their standard "
         "deviations: torque constant 5 %, gyro scale 1 %, accelerometer 0.1 m/s², tilt 0.5 degrees, lever arm 2 mm, "
         "zero 3 mrad, shunt 5 mN m. Two of three IMUs are behind a low pass and stamped late. Every other leg has a "
         "spring of 0.3 N m/rad at its "
         f"pivot. `legid fit` and `legid diagnose` read {RUNS} runs of {SECONDS:g} s as CSV. The rig file states "
-        "nothing of it.", "",
+        "nothing of it.",
         f"- Answers with a name that is not there: {share(wrong)} (none wanted).",
         f"- Fits that say TRUST: {share(a.trust == 'TRUST' for a in found)}.",
         f"- Parameters of trusted fits within their intervals: {share(w for a in trusted for w in a.within)}, "
@@ -107,11 +102,11 @@ def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
         f"{float(np.median([a.worst for a in found])):.2g} %.",
         f"- Trusted fits more than 10 % off: {share(a.worst > 10.0 for a in trusted)} (none wanted).",
         "- Named springs within their intervals: "
-        f"{share(a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None)}.", "",
+        f"{share(a.stiffness[0] <= a.spring <= a.stiffness[1] for a in found if a.stiffness is not None)}.",
         "A name counts as there if the fault exceeds two standard deviations. A spring at a pivot that swings little "
-        "is nearly the function of its gravity term; the error before says whether it is material.", ""]
-    yield from table("leg | spring | IMU late | fit | within | largest error [%] | verdict | causes | error over noise",
-                     map(_row, found))
+        "is nearly the function of its gravity term; the error before says whether it is material."]
+    yield table("leg | spring | IMU late | fit | within | largest error [%] | verdict | causes | error over noise",
+                map(_row, found))
 
 
 def _row(a: Answer) -> str:
@@ -119,8 +114,8 @@ def _row(a: Answer) -> str:
             f"{a.worst:.2g} | {a.verdict} | {', '.join(a.causes) or '-'} | {a.error[0]:.2f} to {a.error[1]:.2f}")
 
 
-EVIDENCE = (
-    Evidence("A lab's small faults all at once, with and without a spring: wrong names, and intervals that hold?",
-             "make lab-chain", "lab-chain.md", 20, "no wrong name, 93 % of beta1 to beta5 within",
-             (r"not (there: [^(]* %)", r"(TRUST: [^(]* %)", r"within their (intervals: [^(]* %)")),)
+EVIDENCE = Evidence(
+    "A lab's small faults all at once, with and without a spring: wrong names, and intervals that hold?",
+    "make lab-chain", "lab-chain.md", 20, "no wrong name, 93 % of beta1 to beta5 within",
+    (r"not (there: [^(]* %)", r"(TRUST: [^(]* %)", r"within their (intervals: [^(]* %)"))
 main = program(page)

@@ -3,27 +3,25 @@
 The laws are those of the effects, written out anew; the readings are changed as `servo` changes them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator
 
+from daq import FloatArray
 from estimator.score import default_tolerances
 from evidence.blind import servo
-from evidence.known_legs import RUNS, KnownLeg, read_leg, truth_of
-from tests.support.mujoco_leg import random_leg
+from evidence.known_legs import KnownLeg, read_leg, truth_of
 
-Faults = Mapping[str, np.ndarray]
+Faults = Mapping[str, FloatArray]
 """Effect -> (joints, sizes): one row for each joint, or one for all of the rig."""
 STIFFNESS = "joint_stiffness"
 POSITIVE = ("joint_stiffness", "quadratic_drag", "load_dependent_friction", "stribeck_friction", "rotor_inertia")
 """Effects whose first size is not below zero."""
 
 
-def drawn(rng: np.random.Generator, times: float = 1.0) -> Faults:
+def drawn(rng: Generator, times: float = 1.0) -> Faults:
     """Sizes of every effect with a tolerance, normal with `times` its standard deviation."""
     found = {}
     for name, sizes in default_tolerances().items():
@@ -33,11 +31,15 @@ def drawn(rng: np.random.Generator, times: float = 1.0) -> Faults:
     return found
 
 
-def plant_of(faults: Faults, rng: np.random.Generator) -> servo.Plant:
+def plant_of(faults: Faults, rng: Generator) -> servo.Plant:
     """The plant with these faults; those that MuJoCo or the readings do not have are left out."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
-    def law(q: np.ndarray, v: np.ndarray, u: float, t: float) -> tuple[float, float]:
+    def of_rig(name: str) -> float:
+        """The one size of an effect of the rig."""
+        return float(faults[name][0, 0])
+
+    def law(q: FloatArray, v: FloatArray, u: float, t: float) -> tuple[float, float]:
         sign = np.clip(v / 0.01, -1.0, 1.0)
         k, c = faults[STIFFNESS].T
         coulomb, viscous = faults["asymmetric_friction"].T
@@ -48,33 +50,31 @@ def plant_of(faults: Faults, rng: np.random.Generator) -> servo.Plant:
         torque[1] += np.hypot(*faults["torque_ripple"][1]) * np.sin(servo.GEAR * q[1] + phase)
         return float(torque[0]), float(torque[1])
 
-    def logged(columns: dict[str, np.ndarray]) -> None:
+    def logged(columns: servo.Readings) -> None:
         step = float(columns["time_s"][1])
         rate = columns["gyro_radps"].copy()
         x, y = (columns[name] for name in ("accel_x_mps2", "accel_y_mps2"))
-        excess, angle = faults["imu_lever_arm"][0, 0], faults["imu_misalignment"][0, 0]
-        x, y = x + excess * np.gradient(rate, step), y - excess * rate**2
-        bias = faults["accelerometer_bias"][0]
-        columns["accel_x_mps2"] = np.cos(angle) * x - np.sin(angle) * y + bias[0]
-        columns["accel_y_mps2"] = np.sin(angle) * x + np.cos(angle) * y + bias[1]
-        columns["gyro_radps"] = (1.0 + faults["gyro_scale"][0, 0]) * rate + faults["gyro_bias"][0, 0]
+        excess, angle = of_rig("imu_lever_arm"), of_rig("imu_misalignment")
+        columns |= {"accel_x_mps2": x + excess * np.gradient(rate, step), "accel_y_mps2": y - excess * rate**2}
+        servo.turned(angle)(columns)
+        for name, bias in zip(("accel_x_mps2", "accel_y_mps2"), faults["accelerometer_bias"][0]):
+            columns[name] += bias
+        columns["gyro_radps"] = (1.0 + of_rig("gyro_scale")) * rate + of_rig("gyro_bias")
         q = columns["q2_rad"]
         sine, cosine = faults["encoder_eccentricity"][1]
         columns["q2_rad"] = ((1.0 + faults["encoder_scale"][1, 0]) * q + faults["encoder_offset"][1, 0]
                              + sine * np.sin(q) + cosine * (np.cos(q) - 1.0))
         torque = columns["tau2_nm"]
-        torque = torque + faults["torque_saturation"][0, 0] * torque**3
-        columns["tau2_nm"] = (1.0 + faults["torque_gain"][0, 0]) * torque + faults["torque_offset"][0, 0]
+        torque = torque + of_rig("torque_saturation") * torque**3
+        columns["tau2_nm"] = (1.0 + of_rig("torque_gain")) * torque + of_rig("torque_offset")
 
-    delay, skew = faults["torque_delay"][0, 0], faults["sensor_time_skew"][0, 0]
-    late = {"tau2_nm": delay, **dict.fromkeys(("gyro_radps", "accel_x_mps2", "accel_y_mps2"), skew)}
+    late = {"tau2_nm": of_rig("torque_delay"),
+            **dict.fromkeys(("gyro_radps", "accel_x_mps2", "accel_y_mps2"), of_rig("sensor_time_skew"))}
     return servo.Plant(armature=faults["rotor_inertia"][1, 0], law=law, logged=logged, late_s=late)
 
 
-def lab_leg(hidden: str, rng: np.random.Generator, folder: Path, times: float = 1.0) -> KnownLeg:
+def lab_leg(hidden: str, rng: Generator, folder: Path, times: float = 1.0) -> KnownLeg:
     """A leg whose faults are drawn from `times` the tolerances; nothing else is hidden."""
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    plant = plant_of(drawn(rng, times), rng)
-    runs = (servo.record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    servo.write_case("leg", 0, folder, runs, rng, leg, f"[motor]\ngear_ratio = {servo.GEAR}\n", [], dry)
-    return read_leg(folder / "leg-0", truth_of(replace(leg, coulomb=(0.1 * dry, dry)).beta()))
+    bare = servo.draw(rng)
+    leg = servo.write_plant("leg", 0, folder, plant_of(drawn(rng, times), rng), [], *bare, rng)
+    return read_leg(folder / "leg-0", truth_of(leg.beta()))

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 
-from daq.recording.plan import Plan, write_plan
-from daq.runs.mcap_run import read_run
-from drivers.mock.rig import STEP_NS
+from daq.recording import Plan, write_plan
+from daq.runs import read_run
+from drivers.mock import STEP_NS
 from evidence.frame import Lines, program, table
 from evidence.registry import Evidence
-from experiments.emulation.served_rig import ServedRig
-from experiments.excite.multisine import random_multisine
+from experiments.emulation import ServedRig
+from experiments.excite import random_multisine
 from experiments.reports.run_info import lost_frames
 from tests.support.live_browser import Browser, Live, open_page
 from tests.support.paths import ROOT
@@ -78,7 +78,7 @@ def press_once(browser: Browser, line: Connection, rng: np.random.Generator, by_
     """Start, wait until the motor is driven, press at a random time, release."""
     browser.click("start")
     browser.phase("Recording")
-    time.sleep(float(rng.uniform(2.2, 5.0)))
+    time.sleep(rng.uniform(2.2, 5.0))
     while True:
         pressed_ns = time.monotonic_ns()
         line.send(pressed_ns)
@@ -199,33 +199,33 @@ def _measured(folder: Path, minutes: float, count: int, seed: int) -> Iterator[s
     keys = sum(press.way == "Esc" for press in presses)
     loads = [one.load for one in looks]
     yield from [
-        f"# The dashboard over {minutes:g} minutes", "", "The machine was shared: the load average was "
+        f"# The dashboard over {minutes:g} minutes", "The machine was shared: the load average was "
         f"{np.mean(loads):.1f} on average and {max(loads):.1f} at most while the page streamed. Rig, "
         "recorder, dashboard and browser (Chromium, headless) are a process each. The rig is that of "
-        "`legid emulate`: an LSM9DS1 at 476 Hz, a controller at 500 Hz.", "",
-        f"## {len(presses)} emergency stops", "",
+        "`legid emulate`: an LSM9DS1 at 476 Hz, a controller at 500 Hz.",
+        f"## {len(presses)} emergency stops",
         f"Time runs from just before the browser is told to press ({len(presses) - keys} clicks, {keys} times Esc) "
         "until the emulator's commanded torque stays zero. The torque at "
         f"the press was {min(abs(p.before_nm) for p in presses):.2f} to {max(abs(p.before_nm) for p in presses):.2f} "
-        f"N m. Median {np.median(took):.0f} ms, worst {took.max():.0f} ms; over 100 ms: {int((took > 100).sum())}.", "",
+        f"N m. Median {np.median(took):.0f} ms, worst {took.max():.0f} ms; over 100 ms: {int((took > 100).sum())}.",
         f"The network meanwhile: {asked} requests, of which to another machine: {len(outgoing)}. Errors and warnings "
         f"on the console, here and while it streamed: {len(complaints)}.",
-        *[f"- {line}" for line in [*sorted(set(outgoing)), *complaints][:20]], "",
-        f"## {minutes:g} minutes of streaming", "",
-        f"Memory in MiB, from {WARM_UP_S:g} s on, looked at every {LOOK_EVERY_S:g} s.", "",
-        *table(" | first minute | last minute | largest | slope per minute", (f"{what} | {growth(looks, field)}"
-               for what, field in (("the page's process (resident)", "server_mib"),
-                                   ("the browser's renderer (resident)", "renderer_mib"),
-                                   ("its JavaScript heap", "heap_mib")))),
-        f"The page was refreshed {shows:.2f} times a second; the page's process took {share:.1%} of one core.", "",
-        f"The recorder: {recorded(next((folder / 'soak-out').glob('*.mcap')))}. The page said: {drops}.", "",
+        *[f"- {line}" for line in [*sorted(set(outgoing)), *complaints][:20]],
+        f"## {minutes:g} minutes of streaming",
+        f"Memory in MiB, from {WARM_UP_S:g} s on, looked at every {LOOK_EVERY_S:g} s.",
+        table(" | first minute | last minute | largest | slope per minute", (
+            f"{what} | {growth(looks, field)}" for what, field in (
+                ("the page's process (resident)", "server_mib"), ("the browser's renderer (resident)", "renderer_mib"),
+                ("its JavaScript heap", "heap_mib")))),
+        f"The page was refreshed {shows:.2f} times a second; the page's process took {share:.1%} of one core.",
+        f"The recorder: {recorded(next((folder / 'soak-out').glob('*.mcap')))}. The page said: {drops}.",
         f"The same recorder for {ALONE_S:g} s just before, with no dashboard: {recorded(folder / 'alone.mcap')} "
         f"(of {ALONE_S * 100:.0f} in the plan)."]
 
 
-EVIDENCE = (
-    Evidence("The dashboard in a browser: memory, losses, emergency stops", "make live-soak", "live.md", 35,
-             "every stop within 100 ms, no telemetry lost",
-             (r"Median \d+ ms, worst \d+ ms; over 100 ms: \d+", r"telemetry frames, \d+ lost"),
-             resumes="no: a soak is one recording"),)
+EVIDENCE = Evidence(
+    "The dashboard in a browser: memory, losses, emergency stops", "make live-soak", "live.md", 35,
+    "every stop within 100 ms, no telemetry lost",
+    (r"Median \d+ ms, worst \d+ ms; over 100 ms: \d+", r"telemetry frames, \d+ lost"),
+    resumes="no: a soak is one recording")
 main = program(page)

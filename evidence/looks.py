@@ -4,9 +4,6 @@ The legs are those of `known_legs` without anything hidden, and MuJoCo's. A faul
 plant.
 """
 
-from __future__ import annotations
-
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import combinations
@@ -14,15 +11,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
-from daq import Dataset, FloatArray, InputError, load_rig
+from daq import Dataset, FloatArray, InputError, parse_rig
 from daq.looks import look
 from daq.runs import RawTable, read_csv
 from daq.timing import align_table
 from estimator import FitError
-from evidence.frame import Lines, program, table
+from evidence.frame import Lines, new_folder, program, table
 from evidence.kept import kept
-from evidence.known_legs import FAMILIES, HEALTHY
+from evidence.known_legs import FAMILIES, HEALTHY, short
 from evidence.registry import Evidence
 from experiments.judge import fit_trust
 from experiments.session import setup_of, with_lost_samples
@@ -46,9 +44,9 @@ PLAIN_LEGS, PLAIN_RUNS = 15, 8
 @kept
 def found_in_healthy(family: str, seed: int) -> tuple[int, list[str]]:
     """Runs of one healthy leg, and what the looks found in their readings."""
-    rng = np.random.default_rng([seed, list(FAMILIES).index(family)])
-    with tempfile.TemporaryDirectory() as folder:
-        leg = FAMILIES[family].make(HEALTHY, rng, Path(folder))
+    rng = default_rng([seed, list(FAMILIES).index(family)])
+    with new_folder() as folder:
+        leg = FAMILIES[family].make(HEALTHY, rng, folder)
     setup = setup_of(leg.runs, leg.rig)
     moved = with_lost_samples(setup.datasets, setup.mechanism, setup.options)
     return len(leg.runs), [*(f"{run.name}: {fault}" for run in leg.runs
@@ -80,50 +78,54 @@ def found_in_records(folder: Path) -> tuple[int, list[str]]:
 @cache
 def leg_run(seed: int, number: int = 0) -> Dataset:
     """MuJoCo's run of a leg drawn by `seed`."""
-    leg, rng = random_leg(np.random.default_rng(seed)), np.random.default_rng([seed, number])
+    leg, rng = random_leg(default_rng(seed)), default_rng([seed, number])
     return record(leg, rng, tau=multisine(rng, np.arange(2000) / 100.0, 1.2), name=f"run{number}")
 
 
-def wrapped(run: Dataset, rng: np.random.Generator, zero: float = 0.5) -> tuple[str, FloatArray]:
+Spoilt = tuple[str, FloatArray]
+"""A column's name and its values with a fault."""
+
+
+def wrapped(run: Dataset, rng: Generator, zero: float = 0.5) -> Spoilt:
     q = run["q2_rad"] + rng.uniform(-zero, zero)
-    low = float(rng.uniform(*np.quantile(q, (0.05, 0.95))))
+    low = rng.uniform(*np.quantile(q, (0.05, 0.95)))
     return "q2_rad", low + (q - low) % (2.0 * np.pi)
 
 
-def isolated(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
+def isolated(run: Dataset, rng: Generator) -> Spoilt:
     q = run["q2_rad"].copy()
     q[rng.integers(50, q.size - 50)] += rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 4.0)
     return "q2_rad", q
 
 
-def stepped(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
+def stepped(run: Dataset, rng: Generator) -> Spoilt:
     q = run["q2_rad"].copy()
-    q[int(rng.integers(300, q.size - 300)):] += rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.5)
+    q[rng.integers(300, q.size - 300):] += rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.5)
     return "q2_rad", q
 
 
-def clipped(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
-    return "tau2_nm", cut_off(run["tau2_nm"], float(rng.uniform(0.03, 0.3)), "both sides")
+def clipped(run: Dataset, rng: Generator) -> Spoilt:
+    return "tau2_nm", cut_off(run["tau2_nm"], rng.uniform(0.03, 0.3), "both sides")
 
 
-def frozen(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
-    gyro, first = run["gyro_radps"].copy(), int(rng.integers(100, len(run) - 100))
-    gyro[first:first + int(rng.integers(15, 40))] = gyro[first]
+def frozen(run: Dataset, rng: Generator) -> Spoilt:
+    gyro, first = run["gyro_radps"].copy(), rng.integers(100, len(run) - 100)
+    gyro[first:first + rng.integers(15, 40)] = gyro[first]
     return "gyro_radps", gyro
 
 
-def repeated(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
-    times = int(rng.integers(2, 5))
+def repeated(run: Dataset, rng: Generator) -> Spoilt:
+    times = rng.integers(2, 5)
     return "q1_rad", run["q1_rad"][::times].repeat(times)[:len(run)]
 
 
-Kind = Callable[[Dataset, np.random.Generator], tuple[str, FloatArray]]
+Kind = Callable[[Dataset, Generator], Spoilt]
 KINDS: dict[str, Kind] = {
     "wrapped": wrapped, "isolated": isolated, "stepped": stepped, "clipped": clipped, "frozen": frozen,
     "repeated": repeated}
 
 
-def spoil(run: Dataset, rng: np.random.Generator, kinds: Sequence[str], makers: Mapping[str, Kind],
+def spoil(run: Dataset, rng: Generator, kinds: Sequence[str], makers: Mapping[str, Kind],
           columns: dict[str, FloatArray]) -> None:
     """Put the faults into columns of a run, one after the other."""
     for kind in sorted(kinds, key=lambda one: one == "wrapped"):  # a sensor's range is the last on the way
@@ -133,7 +135,7 @@ def spoil(run: Dataset, rng: np.random.Generator, kinds: Sequence[str], makers: 
 
 def named(seed: int, kinds: Sequence[str]) -> tuple[list[str], list[str]]:
     """The faults put into one run, one after the other, and those that the looks named."""
-    run, rng = leg_run(seed), np.random.default_rng([seed, *map(list(KINDS).index, kinds)])
+    run, rng = leg_run(seed), default_rng([seed, *map(list(KINDS).index, kinds)])
     columns = dict(run.columns)
     spoil(run, rng, kinds, KINDS, columns)
     try:
@@ -143,16 +145,16 @@ def named(seed: int, kinds: Sequence[str]) -> tuple[list[str], list[str]]:
     return sorted(kinds), sorted(faults)
 
 
-def lost(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
-    row, count, x = int(rng.integers(500, 1500)), int(rng.integers(2, 7)), run["tau2_nm"]
+def lost(run: Dataset, rng: Generator) -> Spoilt:
+    row, count, x = rng.integers(500, 1500), rng.integers(2, 7), run["tau2_nm"]
     return "tau2_nm", np.concatenate([x[:row], x[row + count:], np.full(count, x[-1])])
 
 
-def turned(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
+def turned(run: Dataset, rng: Generator) -> Spoilt:
     return wrapped(run, rng, 0.0)
 
 
-def slow_knee(run: Dataset, rng: np.random.Generator) -> tuple[str, FloatArray]:
+def slow_knee(run: Dataset, rng: Generator) -> Spoilt:
     return "q2_rad", run["q2_rad"][::2].repeat(2)[:len(run)]
 
 
@@ -161,15 +163,12 @@ FITTED = {**KINDS, "wrapped": turned, "repeated": slow_knee, "lost": lost}
 
 
 @kept
-def fit_pair(seed: int, kinds: tuple[str, str]) -> Fit:
-    """A fit of two runs of one leg with two kinds of faults in each, read as files are."""
-    runs = []
-    for number in (1, 2):
-        run, rng = leg_run(seed, number), np.random.default_rng([seed, number, *map(list(FITTED).index, kinds)])
-        columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        spoil(run, rng, kinds, FITTED, columns)
-        runs.append(RawTable(run.name, run.time_s, columns))
-    return _fit(seed, runs)
+def fit_pair(seed: int, kinds: tuple[str, str]) -> "Fit":
+    """A fit of two runs of one leg with two kinds of faults in each."""
+    def put_in(number: int, run: Dataset, columns: dict[str, FloatArray]) -> None:
+        spoil(run, default_rng([seed, number, *map(list(FITTED).index, kinds)]), kinds, FITTED, columns)
+
+    return _fit(seed, put_in)
 
 
 def cut_off(torque: FloatArray, share: float, sides: str) -> FloatArray:
@@ -207,23 +206,24 @@ class Fit(NamedTuple):
 
 @kept
 def fit_clipped(seed: int, share: float, sides: str) -> Fit:
-    """A fit of two runs, read as files are."""
-    runs = []
+    """A fit of two runs."""
+    def put_in(number: int, run: Dataset, columns: dict[str, FloatArray]) -> None:
+        if share:
+            columns["tau2_nm"] = cut_off(run["tau2_nm"], share, sides)
+
+    return _fit(seed, put_in)
+
+
+def _fit(seed: int, put_in: Callable[[int, Dataset, dict[str, FloatArray]], None]) -> Fit:
+    """Of two runs of a leg, read as files are, after `put_in` has changed their columns."""
+    truth, tables = random_leg(default_rng(seed)).beta()[:JUDGED], []
     for number in (1, 2):
         run = leg_run(seed, number)
         columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
-        columns["tau2_nm"] = cut_off(run["tau2_nm"], share, sides) if share else run["tau2_nm"]
-        runs.append(RawTable(run.name, run.time_s, columns))
-    return _fit(seed, runs)
-
-
-def _fit(seed: int, tables: Sequence[RawTable]) -> Fit:
-    truth = random_leg(np.random.default_rng(seed)).beta()[:JUDGED]
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "rig.toml").write_text(RIG, encoding="utf-8")
-        rig = load_rig(Path(folder) / "rig.toml")
+        put_in(number, run, columns)
+        tables.append(RawTable(run.name, run.time_s, columns))
     try:
-        result = fit_runs([align_table(table, 100.0) for table in tables], rig).result
+        result = fit_runs([align_table(table, 100.0) for table in tables], parse_rig(RIG)).result
     except (FitError, InputError) as error:
         return Fit(np.full(JUDGED, np.nan), np.full(JUDGED, np.nan), f"refused: {error}")
     beta, half = result.beta[:JUDGED], result.half_width[:JUDGED]
@@ -231,7 +231,7 @@ def _fit(seed: int, tables: Sequence[RawTable]) -> Fit:
 
 
 def page(legs: int = 4, seed: int = 6200, records: str = str(REAL)) -> Lines:
-    yield from ["# Looks at readings", ""]
+    yield "# Looks at readings"
     yield from _healthy(seed, Path(records))
     yield from _named(seed)
     yield from _pairs(seed)
@@ -241,14 +241,12 @@ def page(legs: int = 4, seed: int = 6200, records: str = str(REAL)) -> Lines:
 def _pairs(seed: int) -> Iterator[str]:
     """Fits of ten legs with the kinds in pairs, one leg a pair in turn."""
     found = {kinds: fit_pair(seed + k % NAMED_LEGS, kinds) for k, kinds in enumerate(combinations(FITTED, 2))}
-    yield from ["## Pairs of faults, with fits", "", "The same kinds, and samples of the torque that are lost, in "
-                f"pairs. Each pair is in both runs of one of {NAMED_LEGS} legs.", "",
+    yield from ["## Pairs of faults, with fits", "The same kinds, and samples of the torque that are lost, in "
+                f"pairs. Each pair is in both runs of one of {NAMED_LEGS} legs.",
                 f"**Pairs trusted wrongly: {sum(one.wrong for one in found.values())} of {len(found)} fits, "
-                f"{sum(one.trusted for one in found.values())} of which are trusted.**", ""]
-    yield from table("put in | largest error | the fit's first line", (
-        f"{' and '.join(kinds)} | {one.worst:.2f} % | "
-        + one.sentence.split("; ")[-1].partition(":")[0].partition(". ")[0].rstrip(".")
-        for kinds, one in found.items()))
+                f"{sum(one.trusted for one in found.values())} of which are trusted.**"]
+    yield table("put in | largest error | the fit's first line", (
+        f"{' and '.join(kinds)} | {one.worst:.2f} % | {short(one.sentence)}" for kinds, one in found.items()))
 
 
 def _healthy(seed: int, records: Path) -> Iterator[str]:
@@ -262,10 +260,10 @@ def _healthy(seed: int, records: Path) -> Iterator[str]:
     if records.is_dir():
         found["public records"] = found_in_records(records)
     false = [text for _, told in found.values() for text in told]
-    yield from ["## Healthy runs", "",
+    yield from ["## Healthy runs",
                 f"**False findings: {len(false)} in {sum(count for count, _ in found.values())} healthy runs.**",
-                *(f"- {text}" for text in false), ""]
-    yield from table("family | runs | findings", ((name, count, len(told)) for name, (count, told) in found.items()))
+                *(f"- {text}" for text in false)]
+    yield table("family | runs | findings", ((name, count, len(told)) for name, (count, told) in found.items()))
 
 
 def _named(seed: int) -> Iterator[str]:
@@ -273,14 +271,14 @@ def _named(seed: int) -> Iterator[str]:
     for kinds in (*((kind,) for kind in KINDS), *combinations(KINDS, 2)):
         found = [named(seed + k, kinds) for k in range(NAMED_LEGS)]
         good = sum(put == told for put, told in found)
-        rows.append((" and ".join(kinds), f"{good} of {NAMED_LEGS}",
-                     "; ".join(sorted({", ".join(told) or "none" for put, told in found if put != told}))))
+        instead = sorted({", ".join(told) or "none" for put, told in found if put != told})
+        rows.append(f"{' and '.join(kinds)} | {good} of {NAMED_LEGS} | {'; '.join(instead)}")
         right += good
-    yield from ["## Faults put in, one and two at a time", "", "In runs of 20 s at 100 Hz of legs simulated by MuJoCo. "
+    yield from ["## Faults put in, one and two at a time", "In runs of 20 s at 100 Hz of legs simulated by MuJoCo. "
                 "An angle wraps by a turn, is off by 1 to 4 rad in one reading, or steps by 0.8 to 1.5 rad. A torque "
                 "is clipped in 3 to 30 % of the samples. A gyro hangs for 15 to 40 samples. Readings are repeated 2 to "
-                "4 times.", "", f"**Named exactly: {right} of {NAMED_LEGS * len(rows)}.**", ""]
-    yield from table("put in | named exactly | named instead", rows)
+                "4 times.", f"**Named exactly: {right} of {NAMED_LEGS * len(rows)}.**"]
+    yield table("put in | named exactly | named instead", rows)
 
 
 def _clipped(legs: int, seed: int) -> Iterator[str]:
@@ -288,13 +286,13 @@ def _clipped(legs: int, seed: int) -> Iterator[str]:
              for sides in SIDES for share in (0.0, *SHARES)}
     every = [one for fits in found.values() for one in fits]
     few = [one.worst <= WITHIN for (_, share), fits in found.items() if 0.0 < share <= 0.15 for one in fits]
-    yield from ["## Clipped torque", "", "Fits of two runs of 20 s of the same legs, without noise levels in the rig "
+    yield from ["## Clipped torque", "Fits of two runs of 20 s of the same legs, without noise levels in the rig "
                 "file. The torque reading ends where a share of the samples is beyond. Errors are those of beta1 to "
-                "beta5.", "",
+                "beta5.",
                 f"**Trusted wrongly: {sum(one.wrong for one in every)} of {len(every)} fits. Up to 15 % of the samples "
-                f"clipped, every parameter is within {WITHIN:g} % in {sum(few)} of {len(few)} fits.**", ""]
-    yield from table("clipped | samples | largest error of a leg, median | worst leg | intervals that hold | trusted | "
-                     "trusted wrongly", (
+                f"clipped, every parameter is within {WITHIN:g} % in {sum(few)} of {len(few)} fits.**"]
+    yield table("clipped | samples | largest error of a leg, median | worst leg | intervals that hold | trusted | "
+                "trusted wrongly", (
         f"{sides} | {100 * share:.0f} % | {np.nanmedian([one.worst for one in fits]):.2f} % | "
         f"{np.nanmax([one.worst for one in fits]):.2f} % | "
         f"{sum(int(np.sum(np.abs(one.errors) <= one.widths)) for one in fits)} of {JUDGED * legs} | "

@@ -1,7 +1,5 @@
 """Public machines that we did not build: where their records are, what a person types, what is published."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

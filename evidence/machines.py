@@ -4,20 +4,17 @@ The records are no part of the project. `--snapshots DIR` is a folder with a clo
 name; files are taken from the commit that the page names.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shlex
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.machine_records import MACHINES, Machine
 from evidence.registry import Evidence
@@ -29,20 +26,21 @@ LIMIT_S, STOPPED = 600, 124
 """Seconds for one command, and the exit status of one that needs more."""
 
 
-@dataclass
-class Session:
+Row = tuple[str, float, int, str]
+"""Command, seconds, exit status, the sentence that answers."""
+
+
+class Session(NamedTuple):
     """What came of a machine's commands."""
 
-    rows: list[tuple[str, float, int, str]] = field(default_factory=list)
-    """Command, seconds, exit status, the sentence that answers."""
-    parameters: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    rows: Sequence[Row]
+    parameters: dict[str, tuple[float, float, float]]
     """Name -> value and 95 % interval, of those determined."""
-    verdict: str = ""
+    verdict: str
     """The first line of the fit."""
 
 
-@dataclass
-class FreeRun:
+class FreeRun(NamedTuple):
     """Errors over 1 s of one run, by each set of parameters; or what stopped it."""
 
     run: str
@@ -87,30 +85,34 @@ def shown(snapshot: Path, commit: str, path: str) -> bytes:
 @kept
 def session(one: Machine, snapshot: Path) -> Session:
     """Every command of one machine, typed in a new folder."""
-    out = Session()
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         unpack(one, snapshot, folder)
-        for command in one.commands:
-            began = time.monotonic()
-            done = typed(command, folder)
-            out.rows.append((command, time.monotonic() - began, done.returncode, answer(command, done)))
-            tell(*out.rows[-1])
-        if (folder / "fit.json").exists():
-            fit = json.loads((folder / "fit.json").read_bytes())
-            out.verdict = fit["trust"]["sentence"]
-            for p in fit["parameters"]:
-                if p["value"] is not None and p["ci95"] is not None:
-                    out.parameters[p["name"]] = (p["value"], *p["ci95"])
-    return out
+        rows = [timed(command, folder) for command in one.commands]
+        if not (folder / "fit.json").exists():
+            return Session(rows, {}, "")
+        fit = json.loads((folder / "fit.json").read_bytes())
+    return Session(rows, {p["name"]: (p["value"], *p["ci95"]) for p in fit["parameters"]
+                          if p["value"] is not None and p["ci95"] is not None}, fit["trust"]["sentence"])
+
+
+def timed(command: str, folder: Path) -> Row:
+    began = time.monotonic()
+    done = typed(command, folder)
+    row = command, time.monotonic() - began, done.returncode, answer(command, done)
+    tell(*row)
+    return row
+
+
+def commands_table(rows: Iterable[Row]) -> str:
+    return table("command | s | exit | answer", (
+        (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in rows))
 
 
 @kept
 def free_runs(one: Machine, snapshot: Path) -> list[FreeRun]:
     """Each run, simulated by what the others determine and by what is published."""
     out = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         unpack(one, snapshot, folder)
         for command in (*(c for c in one.commands if c.startswith("legid import")), *one.more):
             typed(command, folder)
@@ -170,32 +172,28 @@ def page(snapshots: str = "") -> Lines:
     free = [free_runs(one, place) for one, place in zip(MACHINES, places)]
     longest = max(sum(row[1] for row in many.rows) for many in found)
     yield from [
-        "# Ten machines that we did not build", "",
+        "# Ten machines that we did not build",
         "Public records, from their authors' files to a diagnosis, by at most five commands each. The longest session "
-        f"takes {longest / 60:.1f} minutes.",
+        f"takes {longest / 60:.1f} minutes. "
         "Each row has a command, its seconds and exit status, and the first line of its answer. The records are no "
-        "part of the project.",
-        "Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.", "",
+        "part of the project. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
         "The last table of each machine has rms errors of simulations over 1 s. No run helps to identify the "
-        "parameters that simulate it. Values that nobody published are equal on both sides.", ""]
-    yield from table("machine | repository | commit | licence", (
+        "parameters that simulate it. Values that nobody published are equal on both sides."]
+    yield table("machine | repository | commit | licence", (
         f"{number}. {one.title} | [{one.repository}](https://github.com/{one.repository}) | `{one.commit[:10]}` | "
         f"{one.licence}" for number, one in enumerate(MACHINES, 1)))
     for number, (one, many, runs) in enumerate(zip(MACHINES, found, free), 1):
-        yield from [f"## {number}. {one.title}", "", "```toml", one.rig.rstrip()]
-        if one.columns:
-            yield from ["", "# columns.toml, by hand", one.columns.rstrip()]
-        yield from ["```", ""]
-        yield from table("command | s | exit | answer", (
-            (f"`{command}`", f"{seconds:.0f}", status, said) for command, seconds, status, said in many.rows))
-        yield from table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
-                         "widths | within 6 % or not trusted", (
+        by_hand = f"\n# columns.toml, by hand\n{one.columns}" * bool(one.columns)
+        yield from [f"## {number}. {one.title}", f"```toml\n{one.rig}{by_hand}```"]
+        yield commands_table(many.rows)
+        yield table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
+                    "widths | within 6 % or not trusted", (
             compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
             for name, value in one.published.items()))
-        yield from table("run | error by the other runs' parameters | by published parameters | less in total", (
-            (run.run, run.message, "", "") if run.message else
-            (run.run, each(run.ours), each(run.published), "yes" if run.below else "no") for run in runs))
-        yield from [*(f"- {remark}" for remark in one.remarks), ""]
+        yield table("run | error by the other runs' parameters | by published parameters | less in total", (
+            f"{run.run} | {run.message} | | " if run.message else
+            f"{run.run} | {each(run.ours)} | {each(run.published)} | {'yes' if run.below else 'no'}" for run in runs))
+        yield from (f"- {remark}" for remark in one.remarks)
 
 
 def each(errors: Sequence[float]) -> str:
@@ -210,9 +208,8 @@ def compared(name: str, found: tuple[float, float, float] | None, published: flo
     value, low, high = found
     shown = f"{value:.4g} ({low:.4g} to {high:.4g})" if high > low else f"{value:.4g}, at its bound"
     ratio = value / published
-    marks = [f"{ratio:.2f}", "yes" if abs(value - published) <= 1.5 * (high - low) else "no",
-             "yes" if flagged or abs(ratio - 1.0) <= 0.06 else "no"]
-    return f"{name} | {shown} | {published:.4g} | {' | '.join(marks)}"
+    near, passed = abs(value - published) <= 1.5 * (high - low), flagged or abs(ratio - 1.0) <= 0.06
+    return f"{name} | {shown} | {published:.4g} | {ratio:.2f} | {'yes' if near else 'no'} | {'yes' if passed else 'no'}"
 
 
 def result(text: str) -> str:
@@ -227,8 +224,8 @@ def result(text: str) -> str:
             f"the longest session takes {minutes} min")
 
 
-EVIDENCE = (
-    Evidence("Public records of ten machines, from their authors' files to a diagnosis",
-             "python -m evidence machines", "machines.md", 20,
-             "at most five commands and ten minutes each; each value within 6 % or not trusted", result),)
+EVIDENCE = Evidence(
+    "Public records of ten machines, from their authors' files to a diagnosis",
+    "python -m evidence machines", "machines.md", 20,
+    "at most five commands and ten minutes each; each value within 6 % or not trusted", result)
 main = program(page)

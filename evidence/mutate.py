@@ -6,8 +6,6 @@ A fault is any exception but `InputError`, a numerical warning, more than 10 s o
 file comes from the seed and its number alone: `--only mcap --first 4711 --files 1` makes that one again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -23,20 +21,18 @@ import msgspec
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from daq.recording.plan import Plan, read_plan
-from daq.rig import load_rig, parse_rig
-from daq.runs import read_run
-from daq.runs.mcap_run import RunWriter, recover
+from daq import load_rig, parse_rig
+from daq.recording import Plan, read_plan
+from daq.runs import RunWriter, read_run, recover
 from daq.runs.mcap_scan import Scan
 from evidence.frame import Lines, program, table, tell, within
 from evidence.kept import kept
-from evidence.mutate_foreign import Make, foreign
+from evidence.mutate_foreign import Make, foreign, some
 from evidence.mutate_worker import Fault, Kind, study, used_s
 from evidence.registry import Evidence
-from experiments.judge.found_model import model_of
-from experiments.models.mechanism_settings import mechanism_settings
-from experiments.models.model_file import load_model
-from experiments.reports.run_info import describe_mcap
+from experiments.judge import model_of
+from experiments.models import load_model, mechanism_settings
+from experiments.reports import describe_mcap
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run
@@ -130,7 +126,7 @@ def put(kind: Format, seed: int, number: int, path: Path) -> None:
     """Write the file of a number."""
     rng = np.random.default_rng((seed, number))
     if kind.make is None or number % 2:
-        path.write_bytes(broken(kind.whole[int(rng.integers(len(kind.whole)))], rng))
+        path.write_bytes(broken(kind.whole[rng.integers(len(kind.whole))], rng))
     else:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -140,41 +136,41 @@ def put(kind: Format, seed: int, number: int, path: Path) -> None:
 def broken(whole: bytes, rng: np.random.Generator) -> bytes:
     """`whole` with one fault, or with up to four."""
     data = bytearray(whole)
-    for _ in range(1 if rng.random() < 0.6 else int(rng.integers(2, 5))):
+    for _ in range(1 if rng.random() < 0.6 else rng.integers(2, 5)):
         if not data:
             break
         a = int(rng.integers(len(data)))
-        b = min(len(data), a + int(2 ** rng.uniform(0, 10)))
-        match int(rng.integers(9)):
+        b = min(len(data), a + some(rng, 10))
+        match rng.integers(9):
             case 0:
-                data[a] ^= 1 << int(rng.integers(8))
+                data[a] ^= 1 << rng.integers(8)
             case 1:
                 data[a:b] = rng.bytes(b - a)
             case 2:
                 del data[a:b]
             case 3:
-                data[b:b] = data[a:b] * int(rng.integers(1, 4))
+                data[b:b] = data[a:b] * rng.integers(1, 4)
             case 4:
                 del data[a:]
             case 5:  # a field of a length or a count
-                data[a: a + 8] = int(2 ** rng.uniform(0, 64)).to_bytes(9, "little")[:8]
+                data[a: a + 8] = some(rng, 64).to_bytes(9, "little")[:8]
             case 6:  # a number in a text
                 found = list(re.finditer(rb"-?\d[\d.eE+-]*", bytes(data[a: a + 400])))
                 if found:
-                    hit = found[int(rng.integers(len(found)))]
-                    data[a + hit.start(): a + hit.end()] = NUMBERS[int(rng.integers(len(NUMBERS)))]
+                    hit = found[rng.integers(len(found))]
+                    data[a + hit.start(): a + hit.end()] = NUMBERS[rng.integers(len(NUMBERS))]
             case 7:
-                data[a:a] = BRACKETS[int(rng.integers(len(BRACKETS)))] * int(2 ** rng.uniform(0, 17))
+                data[a:a] = BRACKETS[rng.integers(len(BRACKETS))] * some(rng, 17)
             case 8:
                 other = int(rng.integers(len(data)))
                 data[a:b], data[other: other + b - a] = data[other: other + b - a], data[a:b]
     return bytes(data)
 
 
-EVIDENCE = (
-    Evidence("Broken files of 17 formats through their readers", "make mutate", "fuzz.md", 90,
-             "read, or refused in one line", (r"These [\d,]+ files have \d+ faults",), r"with seed (3)",
-             r"seed 3 on (\d{4}-\d\d-\d\d)"),)
+EVIDENCE = Evidence(
+    "Broken files of 17 formats through their readers", "make mutate", "fuzz.md", 90,
+    "read, or refused in one line", (r"These [\d,]+ files have \d+ faults",), r"with seed (3)",
+    r"seed 3 on (\d{4}-\d\d-\d\d)")
 
 
 def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = math.inf, chunk: int = CHUNK,
@@ -207,11 +203,12 @@ def page(files: int = 100_000, first: int = 0, seed: int = 1, minutes: float = m
             tell(name, done + size, *bad)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     every = sum(map(len, faults.values()))
-    yield from ["# Broken files through every reader", ""]
-    yield from table("format | files | read | refused | stopped | faults | slowest | files a second", (
-        (NAMES.get(name, name), *(f"{one[key]:,}" for key in ("files", "read", "refused", "stopped")),
-         len(faults[name]), f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms",
-         f"{one['files'] / max(took_s[name], 1e-9):.0f}") for name, one in counts.items()))
+    yield "# Broken files through every reader"
+    yield table("format | files | read | refused | stopped | faults | slowest | files a second", (
+        f"{NAMES.get(name, name)} | {one['files']:,} | {one['read']:,} | {one['refused']:,} | {one['stopped']:,} | "
+        f"{len(faults[name])} | "
+        + (f"{one['worst_ms'] / 1e3:.1f} s" if one["worst_ms"] > 999 else f"{one['worst_ms']} ms")
+        + f" | {one['files'] / max(took_s[name], 1e-9):.0f}" for name, one in counts.items()))
     yield (f"These {sum(one['files'] for one in counts.values()):,} files have {every} faults. They took "
            f"{sum(took_s.values()) / 60:.0f} minutes of a processor, and at most {peak:.0f} MB in a process that "
            "reads.")

@@ -4,8 +4,6 @@ A reader of `exchange` runs in a child for every file. Here a child reads thousa
 which it dies is read again by the command's own way, which must refuse it in one line.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os
@@ -22,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from daq.errors import InputError
+from daq import InputError
 from experiments import bounded_child
 from experiments.exchange import bounded
 from experiments.simulators import robot
@@ -61,13 +59,15 @@ class Kind(NamedTuple):
     read: Read
 
 
-def without_children() -> None:
-    """From now on this process reads itself what a child of it would read."""
-    def here(work: Callable[[], list[bytes]], bounds: bounded_child.Bounds) -> bytearray:
-        return bounded_child.unpacked(bytearray(b"".join(bounded_child.packed(work, bounds))), bounds)
+def here(work: Callable[[], list[bytes]], bounds: bounded_child.Bounds) -> bytearray:
+    """In this process what a child of it would read."""
+    return bounded_child.unpacked(bytearray(b"".join(bounded_child.packed(work, bounds))), bounds)
 
+
+def read_by(answer: Callable[..., bytearray]) -> None:
+    """From now on."""
     for module in BOUNDED:
-        module.answer_of_child = here
+        module.answer_of_child = answer
 
 
 def outcome(kind: Kind) -> tuple[str, str]:
@@ -149,8 +149,7 @@ def _read_all(kind: Kind, first: int, last: int, state: mmap.mmap, to: int) -> N
     null = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(null, stream)
-    own_way = {module: module.answer_of_child for module in BOUNDED}
-    without_children()
+    read_by(here)
     counts, worst = Counter[str](), 0.0
     _limit_memory()
     for number in range(first, last):
@@ -162,12 +161,9 @@ def _read_all(kind: Kind, first: int, last: int, state: mmap.mmap, to: int) -> N
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         worst = max(worst, time.process_time() - began)
         if number % AGAIN_EVERY == 0:
-            in_place = {module: module.answer_of_child for module in BOUNDED}
-            for module in BOUNDED:
-                module.answer_of_child = own_way[module]
+            read_by(bounded_child.answer_of_child)
             other, _ = outcome(kind)
-            for module in BOUNDED:
-                module.answer_of_child = in_place[module]
+            read_by(here)
             fault = fault or f"{what} here, {other} by the command's own way" * (other != what)
         counts[what] += 1
         if fault:

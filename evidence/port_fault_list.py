@@ -10,19 +10,17 @@ from typing import Any, NamedTuple
 from cobs import cobs
 from fastcrc import crc16
 
+from drivers import Hello, Message, Telemetry
 from drivers.protocol import (
     DELIMITER,
     TYPES,
     Arm,
     ClearFaults,
     Decoder,
-    Hello,
     HelloRequest,
     LimitsRequest,
-    Message,
     Ping,
     Stop,
-    Telemetry,
     TimedCommand,
     TorqueCommand,
     encode,
@@ -42,10 +40,10 @@ class PortFault(NamedTuple):
     asked for."""
 
     act: Act
-    borne: tuple[str, ...] = ()
-    stood_s: float = 0.0
+    borne: tuple[str, ...]
+    stood_s: float
     """The emulator stood still for so long, its watchdog too: that is not the board's."""
-    busy: bool = False
+    busy: bool
     """The board runs a processor hot, ahead of everything: one at a time."""
 
 
@@ -59,8 +57,12 @@ def understood(frame: bytes) -> Message | None:
     return next(iter(Decoder().feed(DELIMITER + frame)), None)
 
 
-def ways(bench: PortBench, names: str) -> list[Way]:
-    return [getattr(bench.line, name) for name in names.split()]
+def on(names: str, act: Callable[[PortBench, Way], None]) -> Act:
+    """Something done to one way of the line, or to both."""
+    def strike(bench: PortBench) -> None:
+        for name in names.split():
+            act(bench, getattr(bench.line, name))
+    return strike
 
 
 # -- the line ----------------------------------------------------------------------------------------------------
@@ -68,51 +70,43 @@ def ways(bench: PortBench, names: str) -> list[Way]:
 
 def cut(names: str, for_s: float | None = None) -> Act:
     """Bytes vanish, for good or for a while."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.change = lost
-            if for_s is not None:
-                bench.later(for_s, lambda way=way: setattr(way, "change", as_it_is))  # type: ignore[misc]
-    return strike
+    def act(bench: PortBench, way: Way) -> None:
+        way.change = lost
+        if for_s is not None:
+            bench.later(for_s, lambda: setattr(way, "change", as_it_is))
+    return on(names, act)
 
 
 def late(names: str, by_s: float) -> Act:
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.late_s = by_s
-    return strike
+    return on(names, lambda bench, way: setattr(way, "late_s", by_s))
 
 
 def collected(names: str, for_s: float) -> Act:
     """Held back, then all of it at once."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            held = bytearray()
-            way.change = lambda frame, held=held: bytes(held.extend(frame) or b"")  # type: ignore[misc]
+    def act(bench: PortBench, way: Way) -> None:
+        held = bytearray()
+        way.change = lambda frame: bytes(held.extend(frame) or b"")  # type: ignore[func-returns-value]
 
-            def burst(way: Way = way, held: bytearray = held) -> None:
-                way.change = as_it_is
-                way.put(bytes(held))
-            bench.later(for_s, burst)
-    return strike
+        def burst() -> None:
+            way.change = as_it_is
+            way.put(bytes(held))
+        bench.later(for_s, burst)
+    return on(names, act)
 
 
 def changed(names: str, change: Callable[[bytes, Any], bytes]) -> Act:
     """Each frame by a function of it and of the bench's random numbers."""
-    def strike(bench: PortBench) -> None:
-        for way in ways(bench, names):
-            way.change = lambda frame: change(frame, bench.rng)
-    return strike
+    return on(names, lambda bench, way: setattr(way, "change", lambda frame: change(frame, bench.rng)))
 
 
 def one_bit(frame: bytes, rng: Any) -> bytes:
-    at = int(rng.integers(len(frame)))
-    return frame[:at] + bytes([frame[at] ^ 1 << int(rng.integers(8))]) + frame[at + 1:]
+    at = rng.integers(len(frame))
+    return frame[:at] + bytes([frame[at] ^ 1 << rng.integers(8)]) + frame[at + 1:]
 
 
 def bits_at(share: float) -> Callable[[bytes, Any], bytes]:
     """One bit wrong in so many bytes."""
-    return lambda frame, rng: bytes(b ^ (1 << int(rng.integers(8))) * (rng.random() < share) for b in frame)
+    return lambda frame, rng: bytes(b ^ (1 << rng.integers(8)) * (rng.random() < share) for b in frame)
 
 
 def dropped(share: float) -> Callable[[bytes, Any], bytes]:
@@ -292,75 +286,91 @@ def stops_lost(bench: PortBench) -> None:
     bench.signal_host(signal.SIGTERM)
 
 
-FAULTS: dict[str, PortFault] = {
-    "line cut both ways": PortFault(cut("up down")),
-    "nothing comes up": PortFault(cut("up")),
-    "nothing goes down": PortFault(cut("down")),
-    "cable pulled": PortFault(lambda bench: bench.line.pull()),
-    "line cut for 50 ms": PortFault(cut("up down", 0.05), borne=MOMENTS),
-    "line cut for 300 ms": PortFault(cut("up down", 0.3)),
-    "frames from the board 200 ms late": PortFault(late("up", 0.2)),
-    "frames from the board 300 ms late": PortFault(late("up", 0.3)),
-    "frames to the board 200 ms late": PortFault(late("down", 0.2)),
-    "frames to the board 300 ms late": PortFault(late("down", 0.3)),
-    "both ways 200 ms late": PortFault(late("up down", 0.2)),
-    "frames to the board collected for 200 ms, then sent at once": PortFault(collected("down", 0.2)),
-    "every frame from the board damaged": PortFault(changed("up", one_bit)),
-    "every frame to the board damaged": PortFault(changed("down", one_bit)),
-    "one byte in 100 damaged, from the board": PortFault(changed("up", bits_at(0.01)), borne=MOMENTS),
-    "one byte in 100 damaged, to the board": PortFault(changed("down", bits_at(0.01)), borne=MOMENTS),
-    "a third of the frames lost, from the board": PortFault(changed("up", dropped(1 / 3)), borne=MOMENTS),
-    "a third of the frames lost, to the board": PortFault(changed("down", dropped(1 / 3)), borne=MOMENTS),
-    "noise between frames, from the board": PortFault(changed("up", noise(20)), borne=MOMENTS),
-    "noise between frames, to the board": PortFault(changed("down", noise(20)), borne=MOMENTS),
-    "frames cut in half, to the board": PortFault(changed("down", halved)),
-    "every frame twice, to the board": PortFault(changed("down", doubled), borne=MOMENTS),
-    "every frame twice, from the board": PortFault(changed("up", doubled), borne=MOMENTS),
-    "telemetry repeats one frame": PortFault(frozen(Telemetry)),
-    "telemetry's tick is frozen": PortFault(frozen(Telemetry, "tick_us")),
-    "telemetry's sequence is frozen": PortFault(frozen(Telemetry, "seq")),
-    "telemetry's echo is frozen": PortFault(frozen(Telemetry, "torque_cmd_nm")),
-    "telemetry of 300 ms ago": PortFault(old(Telemetry, 75)),
-    "command of 2.5 N m, limit 2": PortFault(raw_torque(2500000)),
-    "command of the largest number": PortFault(raw_torque(INT_MAX)),
-    "command of the invalid value": PortFault(raw_torque(INT_MIN)),
-    "command of a float NaN's bits": PortFault(raw_torque(NAN_BITS)),
-    "commands' sequence is frozen": PortFault(stuck_sequence),
-    "commands' sequence jumps back": PortFault(seq_off(-1000), borne=("arming",)),
-    "commands of 300 ms ago": PortFault(old(Commands, 30)),
-    "commands name telemetry of 300 ms ago": PortFault(seen_off(-75)),
-    "commands name telemetry of the future": PortFault(seen_off(100)),
-    "commands lose their age": PortFault(commands(lambda c: TorqueCommand(c.seq, c.torque_nm)), borne=("arming",)),
-    "commands of a wrong length": PortFault(commands(lambda c: framed(struct.pack("<BHi", 0x07, c.seq, 100000)))),
-    "Hello of protocol version 2": PortFault(hello(version=2)),
-    "Hello of another boot": PortFault(hello(boot_id=1)),
-    "second host says Stop": PortFault(second_host(Stop())),
-    "second host says Arm 65535 ms": PortFault(second_host(Arm(65535)), borne=MOMENTS),
-    "second host says ClearFaults": PortFault(second_host(ClearFaults()), borne=MOMENTS),
-    "second host asks and pings": PortFault(second_host(HelloRequest(), Ping(7), LimitsRequest()), borne=MOMENTS),
-    "second host commands": PortFault(second_driver(True)),
-    "second host commands without age": PortFault(second_driver(False), borne=MOMENTS),
-    "board reset": PortFault(lambda bench: bench.board.reset()),
-    "board's polling hangs": PortFault(patched("leg_poll", HANG), busy=True),
-    "board's sampling hangs": PortFault(patched("leg_sample", HANG), busy=True),
-    "board's current loop ends": PortFault(patched("current_loop", RETURN), busy=True),
-    "board's UART interrupt ends": PortFault(patched("uart0_interrupt", RETURN), busy=True),
-    "board's tick stands still": PortFault(stuck_tick, busy=True),
-    "board does not hear": PortFault(patched("leg_receive", RETURN)),
-    "board does not speak": PortFault(patched("board_send", RETURN)),
-    "board's watchdog is not kicked": PortFault(patched("board_watchdog_kick", RETURN), busy=True),
-    "board's clock stands for 50 ms": PortFault(stopped_clock(0.05), borne=MOMENTS),
-    "board's clock stands for 300 ms": PortFault(stopped_clock(0.3)),
-    "board's processor stands for 40 ms": PortFault(stopped_processor(0.04), stood_s=0.04),
-    "board's processor stands for 300 ms": PortFault(stopped_processor(0.3), stood_s=0.3),
-    "E-stop opened": PortFault(button),
-    "E-stop opened and closed, armed without a clear": PortFault(button_and_arm),
-    "watchdog's fault, armed without a clear": PortFault(arm_after_watchdog),
-    "SIGKILL": PortFault(signalled(signal.SIGKILL)),
-    "SIGSTOP, SIGKILL 1 s later": PortFault(signalled(signal.SIGSTOP, signal.SIGKILL, 1.0)),
-    "SIGSTOP for 50 ms": PortFault(signalled(signal.SIGSTOP, after_s=0.05), borne=MOMENTS),
-    "SIGSTOP for 300 ms": PortFault(signalled(signal.SIGSTOP, after_s=0.3)),
-    "SIGTERM": PortFault(signalled(signal.SIGTERM)),
-    "Ctrl-C": PortFault(signalled(signal.SIGINT)),
-    "SIGTERM, every Stop lost": PortFault(stops_lost),
+ACTS: dict[str, Act] = {
+    "line cut both ways": cut("up down"),
+    "nothing comes up": cut("up"),
+    "nothing goes down": cut("down"),
+    "cable pulled": lambda bench: bench.line.pull(),
+    "line cut for 50 ms": cut("up down", 0.05),
+    "line cut for 300 ms": cut("up down", 0.3),
+    "frames from the board 200 ms late": late("up", 0.2),
+    "frames from the board 300 ms late": late("up", 0.3),
+    "frames to the board 200 ms late": late("down", 0.2),
+    "frames to the board 300 ms late": late("down", 0.3),
+    "both ways 200 ms late": late("up down", 0.2),
+    "frames to the board collected for 200 ms, then sent at once": collected("down", 0.2),
+    "every frame from the board damaged": changed("up", one_bit),
+    "every frame to the board damaged": changed("down", one_bit),
+    "one byte in 100 damaged, from the board": changed("up", bits_at(0.01)),
+    "one byte in 100 damaged, to the board": changed("down", bits_at(0.01)),
+    "a third of the frames lost, from the board": changed("up", dropped(1 / 3)),
+    "a third of the frames lost, to the board": changed("down", dropped(1 / 3)),
+    "noise between frames, from the board": changed("up", noise(20)),
+    "noise between frames, to the board": changed("down", noise(20)),
+    "frames cut in half, to the board": changed("down", halved),
+    "every frame twice, to the board": changed("down", doubled),
+    "every frame twice, from the board": changed("up", doubled),
+    "telemetry repeats one frame": frozen(Telemetry),
+    "telemetry's tick is frozen": frozen(Telemetry, "tick_us"),
+    "telemetry's sequence is frozen": frozen(Telemetry, "seq"),
+    "telemetry's echo is frozen": frozen(Telemetry, "torque_cmd_nm"),
+    "telemetry of 300 ms ago": old(Telemetry, 75),
+    "command of 2.5 N m, limit 2": raw_torque(2500000),
+    "command of the largest number": raw_torque(INT_MAX),
+    "command of the invalid value": raw_torque(INT_MIN),
+    "command of a float NaN's bits": raw_torque(NAN_BITS),
+    "commands' sequence is frozen": stuck_sequence,
+    "commands' sequence jumps back": seq_off(-1000),
+    "commands of 300 ms ago": old(Commands, 30),
+    "commands name telemetry of 300 ms ago": seen_off(-75),
+    "commands name telemetry of the future": seen_off(100),
+    "commands lose their age": commands(lambda c: TorqueCommand(c.seq, c.torque_nm)),
+    "commands of a wrong length": commands(lambda c: framed(struct.pack("<BHi", 0x07, c.seq, 100000))),
+    "Hello of protocol version 2": hello(version=2),
+    "Hello of another boot": hello(boot_id=1),
+    "second host says Stop": second_host(Stop()),
+    "second host says Arm 65535 ms": second_host(Arm(65535)),
+    "second host says ClearFaults": second_host(ClearFaults()),
+    "second host asks and pings": second_host(HelloRequest(), Ping(7), LimitsRequest()),
+    "second host commands": second_driver(True),
+    "second host commands without age": second_driver(False),
+    "board reset": lambda bench: bench.board.reset(),
+    "board's polling hangs": patched("leg_poll", HANG),
+    "board's sampling hangs": patched("leg_sample", HANG),
+    "board's current loop ends": patched("current_loop", RETURN),
+    "board's UART interrupt ends": patched("uart0_interrupt", RETURN),
+    "board's tick stands still": stuck_tick,
+    "board does not hear": patched("leg_receive", RETURN),
+    "board does not speak": patched("board_send", RETURN),
+    "board's watchdog is not kicked": patched("board_watchdog_kick", RETURN),
+    "board's clock stands for 50 ms": stopped_clock(0.05),
+    "board's clock stands for 300 ms": stopped_clock(0.3),
+    "board's processor stands for 40 ms": stopped_processor(0.04),
+    "board's processor stands for 300 ms": stopped_processor(0.3),
+    "E-stop opened": button,
+    "E-stop opened and closed, armed without a clear": button_and_arm,
+    "watchdog's fault, armed without a clear": arm_after_watchdog,
+    "SIGKILL": signalled(signal.SIGKILL),
+    "SIGSTOP, SIGKILL 1 s later": signalled(signal.SIGSTOP, signal.SIGKILL, 1.0),
+    "SIGSTOP for 50 ms": signalled(signal.SIGSTOP, after_s=0.05),
+    "SIGSTOP for 300 ms": signalled(signal.SIGSTOP, after_s=0.3),
+    "SIGTERM": signalled(signal.SIGTERM),
+    "Ctrl-C": signalled(signal.SIGINT),
+    "SIGTERM, every Stop lost": stops_lost,
 }
+BORNE = (
+    "line cut for 50 ms", "one byte in 100 damaged, from the board", "one byte in 100 damaged, to the board",
+    "a third of the frames lost, from the board", "a third of the frames lost, to the board",
+    "noise between frames, from the board", "noise between frames, to the board", "every frame twice, to the board",
+    "every frame twice, from the board", "second host says Arm 65535 ms", "second host says ClearFaults",
+    "second host asks and pings", "second host commands without age", "board's clock stands for 50 ms",
+    "SIGSTOP for 50 ms")
+"""Under these a recording may go on at any moment."""
+BORNE_AS_ARM_GOES_OUT = ("commands' sequence jumps back", "commands lose their age")
+STOOD_S = {"board's processor stands for 40 ms": 0.04, "board's processor stands for 300 ms": 0.3}
+BUSY = (
+    "board's polling hangs", "board's sampling hangs", "board's current loop ends", "board's UART interrupt ends",
+    "board's tick stands still", "board's watchdog is not kicked")
+assert {*BORNE, *BORNE_AS_ARM_GOES_OUT, *STOOD_S, *BUSY} <= set(ACTS)
+FAULTS = {name: PortFault(act, MOMENTS if name in BORNE else ("arming",) if name in BORNE_AS_ARM_GOES_OUT else (),
+                          STOOD_S.get(name, 0.0), name in BUSY) for name, act in ACTS.items()}

@@ -4,13 +4,12 @@
 """
 
 import multiprocessing
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.port_fault_list import FAULTS
 from evidence.registry import Evidence
@@ -57,14 +56,14 @@ def wrong(name: str, moment: str, cell: Outcome) -> str:
 @kept
 def _cell(work: tuple[str, str, int]) -> tuple[Key, Outcome]:
     name, moment, seed = work
-    with tempfile.TemporaryDirectory(prefix="leg_cell_") as folder:
-        return (name, moment), strike(name, moment, Path(folder), seed)
+    with new_folder() as folder:
+        return (name, moment), strike(name, moment, folder, seed)
 
 
 def _begin() -> None:
     elf()
-    with tempfile.TemporaryDirectory() as folder:
-        load_once(Path(folder))
+    with new_folder() as folder:
+        load_once(folder)
 
 
 def page(only: Sequence[str] = ("",), moments: Sequence[str] = MOMENTS, boards: int = 2, seed: int = 1) -> Lines:
@@ -83,11 +82,11 @@ def page(only: Sequence[str] = ("",), moments: Sequence[str] = MOMENTS, boards: 
     bad = [f"- {name} ({moment}): {what}" for (name, moment), cell in cells.items()
            if (what := wrong(name, moment, cell))]
     yield from [
-        "# Faults of the example board's line", "",
+        "# Faults of the example board's line",
         f"{len(cells)} recordings with `legid record` on the example board in QEMU, over its "
         "UART, in real time. Each has one fault of the bytes, the board or the program at one moment. Torque up to "
         f"{PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default `[limits]`, a rig without IMU; 2 cores, x86-64; "
-        f"seeds from {seed}.", "",
+        f"seeds from {seed}.",
         f"- {zero.size} recordings ended at the fault: torque zero after {np.median(zero):.0f} ms in the median, "
         f"{zero.max():.0f} ms at most; {int((zero <= TARGET_MS).sum())} within {TARGET_MS:g} ms. "
         f"{len(cells) - zero.size} tolerated it and finished their plan.",
@@ -99,13 +98,13 @@ def page(only: Sequence[str] = ("",), moments: Sequence[str] = MOMENTS, boards: 
         "- Real time on a shared computer: a thread may be some milliseconds late. A recording that ended before its "
         "fault was repeated.",
         "- If the emulator's clock or processor stood, the time is the board's, or the emulator's without the pause.",
-        "", "## What should not be", "",
+        "## What should not be",
         *(bad or ["Nothing: no cell beyond the target, no torque beyond the plan's peak, no board armed at the end, no "
-                  "recording without one line that says why it ended."]), "", "## Time to zero torque [ms]", ""]
-    yield from table(f"fault | {' | '.join(MOMENTS)}", (
+                  "recording without one line that says why it ended."]), "## Time to zero torque [ms]"]
+    yield table(f"fault | {' | '.join(MOMENTS)}", (
         (name, *(_time(cells.get((name, moment))) for moment in MOMENTS)) for name in dict(keys)))
-    yield from ["## What was said, what the file holds, what the board says at the end, at `driving`", ""]
-    yield from table("fault | said | file | board", (
+    yield "## What was said, what the file holds, what the board says at the end, at `driving`"
+    yield table("fault | said | file | board", (
         (name, cell.said or ("killed" if cell.status == -9 else "the plan was driven to its end"), cell.kept,
          cell.board) for (name, moment), cell in cells.items() if moment == "driving"))
     return len(bad)
@@ -117,8 +116,8 @@ def _time(cell: Outcome | None) -> str:
     return "on" if cell.driven_on else f"{cell.zero_ms:.0f}{'*' if cell.clock == 'emulator' else ''}"
 
 
-EVIDENCE = (
-    Evidence("Every fault of the example board's line, program and board, in real time", "make port-faults",
-             "port-faults.md", 15, f"zero torque within {TARGET_MS:g} ms",
-             (r"torque zero after \d+ ms in the median, \d+ ms at most; \d+ within \d+ ms",)),)
+EVIDENCE = Evidence(
+    "Every fault of the example board's line, program and board, in real time", "make port-faults",
+    "port-faults.md", 15, f"zero torque within {TARGET_MS:g} ms",
+    (r"torque zero after \d+ ms in the median, \d+ ms at most; \d+ within \d+ ms",))
 main = program(page)

@@ -1,7 +1,5 @@
 """`within_processor_time`: a case of a study that takes too long ends, and the study goes on."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from typing import TypeVar

@@ -1,14 +1,12 @@
 """The programs that measure: each module below this folder that assigns `EVIDENCE`, and the page that lists them."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 from tests.support.paths import ROOT
 
@@ -20,8 +18,7 @@ SEEDS = r"(?i)seeds? (?:from )?(\d+(?:(?: to |-)\d+)?)"
 Result = Callable[[str], str]
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """One thing that is measured, for its line of the index."""
 
     what: str
@@ -83,7 +80,8 @@ def programs() -> dict[str, ModuleType]:
 
 def evidence() -> dict[str, tuple[Evidence, ...]]:
     """Name on the command line -> what that program measures."""
-    return {name: module.EVIDENCE for name, module in programs().items()}
+    found = {name: module.EVIDENCE for name, module in programs().items()}
+    return {name: (one,) if isinstance(one, Evidence) else one for name, one in found.items()}
 
 
 def index() -> str:

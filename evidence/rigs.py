@@ -6,18 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from daq.recording.plan import Plan
-from daq.recording.record import record_run
-from daq.recording.recorder import RecordReport
-from daq.rig import parse_rig
-from daq.runs.mcap_run import RawRun
+from daq import parse_rig
+from daq.recording import Plan, RecordReport, record_run
+from daq.runs import RawRun
+from drivers import ImuConfig, LegController, Lsm9ds1
 from drivers import lsm9ds1_registers as reg
-from drivers.leg_controller import LegController
-from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
-from drivers.mock.link import EmulatorLink
-from drivers.mock.rig import MockRig
-from drivers.mock.settings import FirmwareSettings
+from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
 from drivers.serial_link import SerialLink
 from tests.support.still_plant import StillPlant
 

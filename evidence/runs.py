@@ -4,15 +4,13 @@ Emulated legs whose runs are alike, and whose friction, zeros or torque gain dif
 that made them; real records beside what is published of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
-from daq import Dataset, FloatArray
-from daq.rig import parse_rig
+from daq import Dataset, FloatArray, parse_rig
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import leg2
 from evidence.blind import servo
@@ -32,26 +30,25 @@ KNEE = 0.05
 FRICTION, ZERO_RAD, GAIN = 0.2, 0.03, 0.03
 """Scatter between runs: of both Coulomb levels over themselves, of the knee's zero, of the torque's gain."""
 Case = tuple[Leg, list[Dataset]]
-Change = Callable[[np.random.Generator, Dataset], Dataset]
+Change = Callable[[Generator, Dataset], Dataset]
 
 
 def by_servo(seed: int) -> Case:
     """A leg of MuJoCo's friction under a position servo, and its runs."""
-    rng = np.random.default_rng([7, seed])
-    dry = float(rng.uniform(0.02, 0.08))
+    rng = default_rng([7, seed])
+    dry = rng.uniform(0.02, 0.08)
     leg = replace(random_leg(rng), coulomb=(0.1 * dry, dry))
     bare = replace(leg, coulomb=(0.0, 0.0))
     runs = []
     for k in range(RUNS):
         columns = servo.record(bare, servo.Plant(), dry, rng, k, session_s=25.0 * k)
-        noisy = {c: columns[c] + servo.NOISE.get(c, 0.0) * rng.normal(size=columns[c].size)
-                 for c in servo.COLUMNS[1:]}
+        noisy = {c: columns[c] + servo.NOISE.get(c, 0.0) * rng.normal(size=columns[c].size) for c in servo.COLUMNS[1:]}
         noisy["q2_rad"] = servo.counted(noisy["q2_rad"])
         runs.append(Dataset(f"run{k}", servo.RATE_HZ, columns["time_s"], noisy))
     return leg, runs
 
 
-def changed(column: str, by: Callable[[np.random.Generator, FloatArray], FloatArray]) -> Change:
+def changed(column: str, by: Callable[[Generator, FloatArray], FloatArray]) -> Change:
     return lambda rng, run: replace(run, columns={**run.columns, column: by(rng, run[column])})
 
 
@@ -93,7 +90,7 @@ def emulated(fits: int) -> Iterator[str]:
             yield row(what, "nothing", sensors, alike)
             yield row(what, f"Coulomb levels, {100 * FRICTION:g} %", sensors, worn)
             for differ, change in CHANGES.items():
-                rng = np.random.default_rng(5)
+                rng = default_rng(5)
                 yield row(what, differ, sensors, [(leg, [change(rng, run) for run in runs])
                                                   for leg, runs in alike[:half]])
     yield row("MuJoCo, servo", "nothing", "imu", [by_servo(seed) for seed in range(half)])
@@ -125,26 +122,25 @@ def real(folder: str) -> tuple[str, list[str]]:
 
 def page(fits: int = 24) -> Lines:
     yield from [
-        "# Runs that differ", "", "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "",
-        "## Emulated legs", "",
-        f"{RUNS} runs of 20 s at {RATE_HZ:g} Hz each; the knee's Coulomb level is {100 * KNEE:g} % of the peak torque.",
-        "Coverage of the 95 % intervals over all parameters, and of the worst parameter in brackets; the truth is the",
-        "mean that runs scatter about. The last column: how many times as wide as by noise alone, on average.", ""]
-    yield from table("plant | sensors | differs between runs | fits | disagree | coverage by noise alone | coverage | "
-                     "wider", emulated(fits))
+        "# Runs that differ", "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "## Emulated legs",
+        f"{RUNS} runs of 20 s at {RATE_HZ:g} Hz each; the knee's Coulomb level is {100 * KNEE:g} % of the peak torque. "
+        "Coverage of the 95 % intervals over all parameters, and of the worst parameter in brackets; the truth is the "
+        "mean that runs scatter about. The last column: how many times as wide as by noise alone, on average."]
+    yield table("plant | sensors | differs between runs | fits | disagree | coverage by noise alone | coverage | "
+                "wider", emulated(fits))
     rows = [real(folder) for folder in RECORDS] if REAL.is_dir() else []
-    yield from ["## Real records, in one command without an option", "",
+    yield from ["## Real records, in one command without an option",
                 "Distance of published and fitted values in half widths of the 95 % interval, in the mechanism's "
-                "order. Beyond", "3 an interval is too narrow. The last column is the departure of the mean over runs "
-                "[%].", ""]
-    yield from table("record | runs | by noise alone | with what runs disagree about | mean over runs",
-                     (line for line, _ in rows))
-    yield from ["What runs disagree about:", ""]
-    yield from table("record | parameter | mean | scatter | by run", (line for _, lines in rows for line in lines))
+                "order. Beyond 3 an interval is too narrow. The last column is the departure of the mean over runs "
+                "[%]."]
+    yield table("record | runs | by noise alone | with what runs disagree about | mean over runs",
+                (line for line, _ in rows))
+    yield "What runs disagree about:"
+    yield table("record | parameter | mean | scatter | by run", (line for _, lines in rows for line in lines))
 
 
-EVIDENCE = (
-    Evidence("Runs that differ: coverage of intervals that allow for it", "make runs FITS=24", "runs.md", 15,
-             "95 % in every row",
-             shares(r"\| \d+/\d+ \| \d+ \| \d+ % \(\d+ %\) \| (\d+) % \(", "% of the intervals hold, by row")),)
+EVIDENCE = Evidence(
+    "Runs that differ: coverage of intervals that allow for it", "make runs FITS=24", "runs.md", 15,
+    "95 % in every row",
+    shares(r"\| \d+/\d+ \| \d+ \| \d+ % \(\d+ %\) \| (\d+) % \(", "% of the intervals hold, by row"))
 main = program(page)

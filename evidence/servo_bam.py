@@ -4,21 +4,20 @@ The values are those of params/xl330 at commit af22604622. They were found on re
 them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 import legid
 from daq import Dataset, FloatArray, Loop, Rig, load_rig
+from estimator import FitOptions
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model import nominal_model, refit
 from estimator.effects import classes
 from estimator.free_runs import FittedModel
 from estimator.likelihood import free_run
 from estimator.loops import law_checks
-from estimator.options import FitOptions
 from estimator.prediction import smooth
 from evidence.kept import kept
 from experiments.documents import finite
@@ -45,6 +44,7 @@ PUBLISHED: dict[str, dict[str, float]] = {
            "load_friction_motor_quad": 0.00525869, "load_friction_external_quad": 0.0090157}}
 
 
+@cache
 def rig() -> Rig:
     """The rig file of the records."""
     return load_rig(RIG)
@@ -54,7 +54,7 @@ def records(kinds: tuple[str, ...]) -> list[Dataset]:
     """Runs with their command as the contract names it; `lift_and_drop` switches the motor off."""
     paths = [FOLDER / f"kp{gain}_{kind}.csv.gz" for kind in kinds for gain in (100, 400)]
     return [replace(d, columns={("q1_cmd_rad" if n == "goal_rad" else n): v for n, v in d.columns.items()})
-            for d in as_datasets(paths, load_rig(RIG))]
+            for d in as_datasets(paths, rig())]
 
 
 def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
@@ -69,10 +69,10 @@ def closed(model: FittedModel, run: Dataset, gain: float) -> FloatArray:
 @kept
 def fits() -> dict[str, FittedModel]:
     """Estimator to our model of the train runs, in volts."""
-    rig, train, found = load_rig(RIG), records(TRAIN), {}
+    train, found = records(TRAIN), {}
     for method in ("wls", "mle"):
-        result = legid.fit(train, rig, choose=False, method=method).estimate  # values, open or not
-        found[method] = FittedModel(result.mechanism, rig.sampling.hold, result.beta)
+        result = legid.fit(train, rig(), choose=False, method=method).estimate  # values, open or not
+        found[method] = FittedModel(result.mechanism, rig().sampling.hold, result.beta)
     return found
 
 
@@ -91,13 +91,14 @@ def extended(name: str) -> FittedModel:
 def errors() -> dict[str, list[float]]:
     """Model to the rms error [rad] on each test run."""
     test = records(TEST)
-    (check,) = law_checks(test, build_mechanism(mechanism_settings(load_rig(RIG))))
+    (check,) = law_checks(test, build_mechanism(mechanism_settings(rig())))
     out: dict[str, list[float]] = {}
     for run, gain in zip(test, check.after.gains):
         ours = {f"legid, {name}: Coulomb and viscous": model for name, model in fits().items()}
         ours |= {f"legid, mle: and {name}": extended(name) for name in EFFECTS}
         for name, model in ours.items():
-            out.setdefault(name, []).append(_rms(closed(model, run, float(gain)) - run["q1_rad"]))
+            off = closed(model, run, float(gain)) - run["q1_rad"]
+            out.setdefault(name, []).append(float(np.sqrt(np.mean(off**2))))
     return out
 
 
@@ -108,8 +109,4 @@ def diagnosis() -> tuple[str, tuple[str, ...], tuple[float, float] | None]:
     error = found.error
     return found.verdict, tuple(cause.effect for cause in found.causes), (
         None if error is None else (finite(error.before), finite(error.after)))
-
-
-def _rms(x: FloatArray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 

@@ -3,8 +3,6 @@
 The laws are those of Duclusaud, Passault, Padois, Ly, ICRA 2025, and of bam/model.py of Rhoban/bam.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -104,12 +102,10 @@ def run_of(time_s: FloatArray, goal: FloatArray, volts: FloatArray, on: FloatArr
 def published(values: Mapping[str, float], sign: float) -> FloatArray:
     """(16,) values of the XL330 as BAM publishes them."""
     strength = values["kt"] / values["R"]
-    same = {"armature": "armature", "base": "friction_base", "viscous": "friction_viscous",
-            "stribeck": "friction_stribeck", "speed": "dtheta_stribeck", "alpha": "alpha",
-            "motor": "load_friction_motor", "external": "load_friction_external",
-            "motor_stribeck": "load_friction_motor_stribeck", "external_stribeck": "load_friction_external_stribeck",
-            "motor_quad": "load_friction_motor_quad", "external_quad": "load_friction_external_quad"}
-    own = {name: values[key] for name, key in same.items() if key in values}
+    theirs = {"armature": "armature", "speed": "dtheta_stribeck", "alpha": "alpha",
+              **{name: f"friction_{name}" for name in ("base", "viscous", "stribeck")}}
+    own = {name: values.get(theirs.get(name, f"load_friction_{name}"), float(name in ("speed", "alpha")))
+           for name in NAMES}
     own |= {"strength": strength, "braking": strength * values["kt"], "offset": sign * values["q_offset"]}
-    return np.array([own.get(name, 1.0 if name in ("speed", "alpha") else 0.0) for name in NAMES])
+    return np.array([own[name] for name in NAMES])
 

@@ -4,8 +4,6 @@ The laws are those of BAM (Duclusaud, Passault, Padois, Ly, ICRA 2025; bam/model
 viscous friction to friction by load. All are fitted alike, by the error of free runs under the command.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -30,15 +28,15 @@ def xl330(kinds: tuple[str, ...]) -> list[Run]:
 def page() -> Lines:
     train, test = xl330(servo_bam.TRAIN), xl330(servo_bam.TEST)
     yield from [
-        "# Servos: friction laws fitted to the same runs", "",
+        "# Servos: friction laws fitted to the same runs",
         "Runs of 6 s of an XL330 with a pendulum follow BAM's commands. All laws are fitted to the same runs by the "
         "error of free runs, so the laws alone differ. No fit has seen `sin_time_square`. Published values were found "
-        "on other records, which may have these among them.", ""]
+        "on other records, which may have these among them."]
     laws = {f"fitted: {name}": fitted(train, count) for name, count in LAWS.items()}
     laws |= {f"published {name}": min((published(values, sign) for sign in (1.0, -1.0)),
                                       key=lambda p: sum(rms(p, test)))
              for name, values in servo_bam.PUBLISHED.items()}
-    yield from table("law | held out, kp 100 | held out, kp 400 | fitted runs", [
+    yield table("law | held out, kp 100 | held out, kp 400 | fitted runs", [
         *((name, *mrad(rms(p, test)), *mrad([np.sqrt(np.mean(np.square(rms(p, train))))]))
           for name, p in laws.items()),
         *((name, *mrad(errors), "-") for name, errors in servo_bam.errors().items())])
@@ -53,9 +51,9 @@ def mrad(errors: Iterable[float]) -> Iterator[str]:
     return (f"{1e3 * one:.3g} mrad" for one in errors)
 
 
-EVIDENCE = (Evidence(
+EVIDENCE = Evidence(
     "Friction laws of servos, fitted to the same runs: what do they leave on runs that none has seen?",
     "make servo-laws", "servo-laws.md", 4,
     "at most that of BAM's best law, fitted to the same runs",
-    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, mle: and directional[^|]*\| [^|]*\| [^|]*)\|")),)
+    (r"(fitted: and by load \(m6\) \| [^|]*\| [^|]*)\|", r"(legid, mle: and directional[^|]*\| [^|]*\| [^|]*)\|"))
 main = program(page)

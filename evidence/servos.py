@@ -4,20 +4,21 @@ MuJoCo moves the legs; the loop ticks at its own rate, reads an encoder of 12 bi
 limit are drawn. Called again the study goes on where it stopped.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import default_rng
 
 import legid
 from daq import Dataset, InputError, Rig, parse_rig
 from estimator import FitError
 from evidence import what_changed
 from evidence.blind.records import UNTOUCHED
+from evidence.blind.servo import Change, changed
 from evidence.frame import Lines, program, share, table, tell, within
 from evidence.kept import kept
 from evidence.processor_time import within_processor_time
@@ -42,13 +43,9 @@ class Hidden:
     effect: str
     loop: Callable[[float], ServoFaults] = lambda s: ServoFaults()
     law: Callable[[float, Leg], Law | None] = lambda s, leg: None
-    logged: Callable[[dict[str, np.ndarray], float], None] = lambda columns, s: None
+    logged: Callable[[float], Change] = lambda s: lambda columns: None
     also: tuple[str, ...] = ()
     """Other effects that are the same function of these records"""
-
-
-def _scale_angle(columns: dict[str, np.ndarray], s: float) -> None:
-    columns["q2_rad"] = columns["q2_rad"] * (1.0 + 0.05 * s)
 
 
 def _directional(s: float, leg: Leg) -> Law:
@@ -76,7 +73,7 @@ CAUSES = (
         0.0, -0.2 * s * abs(u) * math.tanh(v2 / 0.01)), also=("load_stribeck_friction", "quadratic_load_friction",
                                                        "directional_load_friction")),
     Hidden("supply_sag", lambda s: ServoFaults(sag=0.25 * s), also=("torque_saturation", "input_limit")),
-    Hidden("encoder_scale", logged=_scale_angle),
+    Hidden("encoder_scale", logged=lambda s: changed("q2_rad", lambda q: q * (1.0 + 0.05 * s))),
     Hidden("encoder_scale", lambda s: ServoFaults(encoder_scale=0.15 * s)),
     Hidden("command_steps", lambda s: ServoFaults(step=math.radians(2.0))),
     Hidden("directional_load_friction", law=_directional),
@@ -101,7 +98,7 @@ class Drawn(NamedTuple):
 
 def draw(seed: int) -> Drawn:
     """Leg and loop of a seed."""
-    rng = np.random.default_rng([seed, 1])
+    rng = default_rng([seed, 1])
     leg = replace(random_leg(rng), viscous=(0.02, 0.03), coulomb=(0.01, 0.03 * rng.uniform(0.5, 1.5)))
     return Drawn(leg, rng.uniform(4.0, 12.0), rng.uniform(0.05, 0.25), float(rng.choice([1000.0, 500.0, 250.0])),
                  rng.uniform(0.0, 0.02))
@@ -109,16 +106,16 @@ def draw(seed: int) -> Drawn:
 
 def record(drawn: Drawn, seed: int, cause: Hidden = CAUSES[0], delay_s: float = 0.0) -> list[Dataset]:
     """Runs of the leg as its servo logs them."""
-    strength = float(np.random.default_rng([seed, 2]).uniform(0.8, 1.2))
+    strength = float(default_rng([seed, 2]).uniform(0.8, 1.2))
     faults = cause.loop(strength)
     found = []
     for k in range(RUNS):
-        run = follow(drawn.leg, np.random.default_rng([seed, 3, k]), gain=drawn.gain, damping=drawn.damping,
+        run = follow(drawn.leg, default_rng([seed, 3, k]), gain=drawn.gain, damping=drawn.damping,
                      loop_hz=drawn.loop_hz, seconds=SECONDS, amplitude=AMPLITUDE[k % 4], high=HIGH[k % 4],
                      faults=replace(faults, delay_s=faults.delay_s + delay_s), law=cause.law(strength, drawn.leg),
                      name=f"r{k + 1}")
         columns = dict(run.columns)
-        cause.logged(columns, strength)
+        cause.logged(strength)(columns)
         found.append(replace(run, columns=columns))
     return found
 
@@ -169,10 +166,9 @@ LOOPS = ("limit", "integral", "neither")
 @kept
 def values(which: int, seed: int) -> tuple[Value, ...] | None:
     """Values that a fit finds if the rig file states gain and rate alone; None without an answer."""
-    drawn, rng = draw(seed), np.random.default_rng([seed, 4])
+    drawn, rng = draw(seed), default_rng([seed, 4])
     limit, integral = rng.uniform(0.6, 1.2), rng.uniform(1.0, 4.0)
-    faults = {"limit": ServoFaults(limit=limit), "integral": ServoFaults(integral=integral)}.get(LOOPS[which],
-                                                                                                ServoFaults())
+    faults = (ServoFaults(limit=limit), ServoFaults(integral=integral), ServoFaults())[which]
     rig = parse_rig(f"{RIG}gain = {drawn.gain}\nrate_hz = {drawn.loop_hz}\n")
     try:
         found = legid.fit(record(drawn, seed, Hidden("none", lambda s: faults), drawn.delay_s), rig)
@@ -212,22 +208,16 @@ def diagnose(which: int, seed: int) -> Said:
 def rounds(seed: int, fits: bool) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """With `fits` a fit with the gain or with other values unknown, then a diagnosis, and so on, each with a seed of
     its own."""
-    turn = 0
-    while True:
-        if not fits:
-            pass
-        elif turn % 2:
+    for turn in count():
+        if fits and turn % 2:
             yield "values", (turn // 2 % len(LOOPS), seed + 2 * turn)
-        else:
+        elif fits:
             yield "fit", (seed + 2 * turn,)
         yield "diagnosis", (turn % len(CAUSES), seed + 2 * turn + 1)
-        turn += 1
 
 
 def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str = "") -> Lines:
-    gains: list[Fit] = []
-    loops: list[tuple[Value, ...] | None] = []
-    answers: list[tuple[Hidden, int, Said]] = []
+    gains, loops, answers = list[Fit](), list[tuple[Value, ...] | None](), list[tuple[Hidden, int, Said]]()
     for kind, given in within(minutes, rounds(seed, only != HIDDEN)):
         if kind == "fit":
             gains.append(fit(*given))
@@ -237,14 +227,14 @@ def page(minutes: float = 9.0, records: float = 6.0, seed: int = SEED, only: str
             answers.append((CAUSES[given[0]], given[1], diagnose(*given)))
         tell(kind, given, (gains if kind == "fit" else loops if kind == "values" else answers)[-1:])
     yield from [
-        "# Servos: legs that follow a command", "",
+        "# Servos: legs that follow a command",
         f"MuJoCo moves the legs. The loop ticks at 250 to 1000 Hz and reads 12 bits a turn. {RUNS} runs of {SECONDS:g} "
-        "s hold command and both angles. Intervals are Wilson's, 95 %.", ""]
+        "s hold command and both angles. Intervals are Wilson's, 95 %."]
     if only != HIDDEN:
         yield from intervals(gains)
         yield from of_loops(loops)
     yield from hidden(answers)
-    yield from ["A real servo by its command is in [servo-laws](servo-laws.md).", ""]
+    yield "A real servo by its command is in [servo-laws](servo-laws.md)."
     if REAL.is_dir():
         yield from real(records)
     else:
@@ -255,10 +245,10 @@ def intervals(fits: Sequence[Fit]) -> Iterator[str]:
     """Do the intervals hold, gain and delay unknown?"""
     good = [one for one in fits if not one.failed]
     late = [abs(one.delay_s) for one in good]
-    yield from ["## Gain and delay unknown", "",
+    yield from ["## Gain and delay unknown",
                 "The rig file states nothing of the servo, and `--fix` gives beta5. Gains are 4 to 12 N m/rad, delays "
-                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it.", ""]
-    yield from table(" | measured", [
+                "0 to 20 ms. The viscous friction of the knee has the servo's damping in it."]
+    yield table(" | measured", [
         f"95 % intervals of parameters that hold | {share(value for one in good for value in one.held)}",
         f"of the gain | {share(one.gain for one in good)}",
         f"median error of the delay | {1e3 * float(np.median(late)) if late else math.nan:.2g} ms",
@@ -269,19 +259,19 @@ def of_loops(loops: Sequence[tuple[Value, ...] | None]) -> Iterator[str]:
     """Do the intervals of a loop's own values hold, and are the values found?"""
     limited = [one for one in loops if one is not None and any(v.key == "limit" and v.true < math.inf for v in one)]
     every = [v for one in loops if one is not None for v in one if v.key != "damping" or one in limited]
-    yield from ["## Values of the loop unknown", "",
+    yield from ["## Values of the loop unknown",
                 "The rig file states gain and rate. The loop damps by 0.05 to 0.25 N m s/rad and is 0 to 20 ms late. "
                 "One in three has a limit of 0.6 to 1.2 N m, one an integral of 1 to 4 N m/(rad s). Damping counts for "
-                "loops with a limit: below it, and without feedforward, damping is viscous friction.", ""]
+                "loops with a limit: below it, and without feedforward, damping is viscous friction."]
     rows = []
     for key, absent in (("delay_s", math.nan), ("limit", math.inf), ("integral", 0.0), ("damping", math.nan)):
         own = [value for value in every if value.key == key]
         there = [value.found for value in own if value.true != absent]
         missing = [not value.found for value in own if value.true == absent]
         held = [value.low <= value.true <= value.high for value in own if value.sought and value.true != math.inf]
-        rows.append((key, share(there), share(missing), share(held)))
-    yield from table("value | present and found | absent and not found | 95 % intervals that hold", rows)
-    yield from [f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer.", ""]
+        rows.append(f"{key} | {share(there)} | {share(missing)} | {share(held)}")
+    yield table("value | present and found | absent and not found | 95 % intervals that hold", rows)
+    yield f"{sum(one is None for one in loops)} of {len(loops)} fits end without an answer."
 
 
 def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:
@@ -289,16 +279,16 @@ def hidden(answers: Sequence[tuple[Hidden, int, Said]]) -> Iterator[str]:
     ill = [(cause, said) for cause, _, said in answers if cause.effect != "none"]
     well = (said.verdict == "none" for cause, _, said in answers if cause.effect == "none")
     names = [({cause.effect}, {cause.effect, *cause.also}, set(said.causes)) for cause, said in ill]
-    yield from ["## Hidden causes", "", "The rig file states gain, damping and rate. A diagnosis that takes "
-                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing.", ""]
-    yield from table(" | measured", [
+    yield from ["## Hidden causes", "The rig file states gain, damping and rate. A diagnosis that takes "
+                f"{MOST_S:.0f} s of processor time ends as `{LATE}`, and counts as one that names nothing."]
+    yield table(" | measured", [
         f"hidden cause in the answer | {share(own & said for own, _, said in names)}",
         f"or one that is the same function here | {share(near & said for _, near, said in names)}",
         f"wrong names alone | {share(said and not near & said for _, near, said in names)}",
         f"healthy legs `none` | {share(well)}"])
-    yield from table("hidden | seed | verdict | causes | error over noise: before, after | s", (
-        (cause.effect, seed, said.verdict, ", ".join(said.causes) or "-",
-         "-" if said.error is None else ", ".join(f"{value:.3g}" for value in said.error), f"{said.wall_s:.0f}")
+    yield table("hidden | seed | verdict | causes | error over noise: before, after | s", (
+        f"{cause.effect} | {seed} | {said.verdict} | {', '.join(said.causes) or '-'} | "
+        f"{'-' if said.error is None else '{:.3g}, {:.3g}'.format(*said.error)} | {said.wall_s:.0f}"
         for cause, seed, said in answers))
 
 
@@ -313,10 +303,10 @@ def real(minutes: float) -> Iterator[str]:
         elif answer.verdict != "out of reach":
             found.setdefault((case.fault, case.ratio), []).append(case.fault in answer.causes)
         tell(case, answer)
-    yield from ["## A real servo against its earlier runs", "",
+    yield from ["## A real servo against its earlier runs",
                 "Faults are put into the readings of the XL330 of `what-changed.md`, with its command as `q1_cmd_rad`. "
-                "Their sizes raise the free-run error of the reference's model by the ratio.", ""]
-    yield from table("fault | ratio | in the answer", [
+                "Their sizes raise the free-run error of the reference's model by the ratio."]
+    yield table("fault | ratio | in the answer", [
         *(f"{fault} | {ratio:g} | {share(values)}" for (fault, ratio), values in sorted(found.items())),
         f"all | | {share(value for values in found.values() for value in values)}",
         f"untouched `no_change` | | {share(quiet)}"])
@@ -334,8 +324,8 @@ def _result(text: str) -> str:
     return "; ".join(found)
 
 
-EVIDENCE = (Evidence(
+EVIDENCE = Evidence(
     "Legs behind position loops, without a torque: do intervals hold, are hidden causes found, and a real servo's?",
     "make servos", "servos.md", 15, "intervals 93 to 97 %; in the answer 90 %, wrong 3 %, healthy 98 %; the servo's "
-    "faults 70 %", _result),)
+    "faults 70 %", _result)
 main = program(page)

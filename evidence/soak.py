@@ -7,22 +7,29 @@ import mmap
 import os
 import signal
 import struct
-import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from daq.recording.workers import QueuedSink
-from daq.runs.mcap_run import FLUSH_MESSAGES, read_run, recover
+from daq.recording import QueuedSink
+from daq.runs import read_run, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES
 from evidence import clock_laws, fuzz_codecs
-from evidence.frame import Lines, program
+from evidence.frame import Lines, new_folder, program
 from evidence.registry import Evidence
 from evidence.rigs import losses, record_real, record_virtual
 from tests.support.c_firmware import Served
 
 PROGRESS = struct.Struct("<QQ")  # messages handed over, host time of the last [ns]
+TIME = struct.Struct("<Q")
+KEPT = 4096
+"""Of the last times, behind the progress."""
+
+
+def place_of(message: int) -> int:
+    return PROGRESS.size + TIME.size * (message % KEPT)
 
 
 def soak_virtual(folder: Path, seconds: float) -> dict[str, int]:
@@ -68,8 +75,8 @@ def record_and_note(path: Path, port: str, progress: mmap.mmap) -> None:
         put(self, topic, host_ns, *values, sequence=sequence)
         times.append(time.monotonic_ns())
         at = len(times)
-        progress[16 + 8 * (at % 4096): 24 + 8 * (at % 4096)] = struct.pack("<Q", times[-1])
-        progress[:16] = PROGRESS.pack(at, times[-1])
+        TIME.pack_into(progress, place_of(at), times[-1])
+        PROGRESS.pack_into(progress, 0, at, times[-1])
 
     QueuedSink.add = add  # type: ignore[method-assign]
     record_real(path, port, 60.0)
@@ -78,7 +85,7 @@ def record_and_note(path: Path, port: str, progress: mmap.mmap) -> None:
 def kill_one(folder: Path, k: int, port: str, rng: np.random.Generator) -> Killed:
     """Fork a recorder, kill it at a random time, recover its file."""
     path = folder / f"k{k}.mcap"
-    progress = mmap.mmap(-1, 16 + 8 * 4096)
+    progress = mmap.mmap(-1, PROGRESS.size + TIME.size * KEPT)
     child = os.fork()
     if child == 0:
         try:
@@ -86,22 +93,20 @@ def kill_one(folder: Path, k: int, port: str, rng: np.random.Generator) -> Kille
         finally:
             os._exit(1)
     deadline = time.monotonic() + 30
-    while PROGRESS.unpack(progress[:16])[0] < 1 and time.monotonic() < deadline:
+    while PROGRESS.unpack_from(progress)[0] < 1 and time.monotonic() < deadline:
         time.sleep(0.005)
-    time.sleep(float(rng.uniform(0.02, 2.5)))
+    time.sleep(rng.uniform(0.02, 2.5))
     os.kill(child, signal.SIGKILL)
     killed_ns = time.monotonic_ns()
     os.waitpid(child, 0)
-    handed, _ = PROGRESS.unpack(progress[:16])
+    handed, _ = PROGRESS.unpack_from(progress)
     out = path.with_suffix(".recovered.mcap")
     report = recover(path, out)
     raw = read_run(out)
     streams = sum(map(len, raw.streams.values()))
     oldest = 0.0
     if streams < handed:
-        at = streams + 1
-        (put_ns,) = struct.unpack("<Q", progress[16 + 8 * (at % 4096): 24 + 8 * (at % 4096)])
-        oldest = (killed_ns - put_ns) * 1e-9
+        oldest = (killed_ns - TIME.unpack_from(progress, place_of(streams + 1))[0]) * 1e-9
     found = losses(raw)
     whole = raw.complete and report.messages == raw.messages and not (
         found["imu_doubled"] or found["frames_doubled"] or found["imu_torn"])
@@ -124,20 +129,18 @@ def kill_many(folder: Path, count: int, seed: int) -> list[Killed]:
 
 def page(virtual: float = 600.0, real: float = 60.0, kills: int = 200, frames: int = 1_000_000, runs: int = 1000,
          seed: int = 1) -> Lines:
-    yield from ["# Soak, fuzz and clock studies", "",
-                "The devices are emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz.", ""]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        yield from [f"## {virtual:g} s on virtual time", "", _losses(soak_virtual(folder, virtual)), ""]
+    yield from ["# Soak, fuzz and clock studies",
+                "The devices are emulated: an LSM9DS1 at 952 Hz and a controller at 1 kHz."]
+    with new_folder() as folder:
+        yield from [f"## {virtual:g} s on virtual time", _losses(soak_virtual(folder, virtual))]
         found, share = soak_real(folder, real)
-        yield from [f"## {real:g} s on the real clock", "",
-                    _losses(found), "", f"The recording process took {share:.1%} of one core (the controller is "
-                    "another process, the chip's bus is in memory).", "",
-                    f"## {kills} SIGKILLs at random times of a recording", "",
-                    _kills(kill_many(folder, kills, seed)), ""]
+        yield from [f"## {real:g} s on the real clock",
+                    _losses(found), f"The recording process took {share:.1%} of one core (the controller is "
+                    "another process, the chip's bus is in memory).",
+                    f"## {kills} SIGKILLs at random times of a recording",
+                    _kills(kill_many(folder, kills, seed))]
     for lines in (fuzz_codecs.page(frames, seed), clock_laws.page(runs, seed)):
         yield from (f"#{line}" if line.startswith("# ") else line for line in lines)
-        yield ""
 
 
 def _kills(kills: list[Killed]) -> str:
@@ -154,9 +157,9 @@ def _losses(found: dict[str, int]) -> str:
             f"{found['frames_doubled']} doubled.")
 
 
-EVIDENCE = (
-    Evidence("Long recordings, kills, broken frames and the controller's clock", "make soak", "soak.md", 13,
-             "no sample lost, no file lost, at most 250 messages missing after a kill",
-             (r"\d+ IMU samples: \d+ lost", r"\d+ files recovered whole", r"Beyond \d+ messages and 1 s: \d+ files"),
-             resumes="no: a soak is one recording"),)
+EVIDENCE = Evidence(
+    "Long recordings, kills, broken frames and the controller's clock", "make soak", "soak.md", 13,
+    "no sample lost, no file lost, at most 250 messages missing after a kill",
+    (r"\d+ IMU samples: \d+ lost", r"\d+ files recovered whole", r"Beyond \d+ messages and 1 s: \d+ files"),
+    resumes="no: a soak is one recording")
 main = program(page)

@@ -5,25 +5,19 @@ torque; what counts are the summed squared errors of q1 and q2 against the encod
 legs that are not scored.
 """
 
-from __future__ import annotations
-
-import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from daq import Dataset, FloatArray
-from daq.rig import parse_rig
+from daq import Dataset, FloatArray, parse_rig
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import Mechanism, leg2, simulate
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.emulation.plant import LegBody
-from experiments.excite.multisine import random_multisine
+from experiments.emulation import LegBody, record_emulated
+from experiments.excite import random_multisine
 from tests.support.mujoco_leg import random_leg
 from tests.support.mujoco_leg import record as record_mujoco
 from tests.support.runs import load_run
@@ -59,8 +53,7 @@ clock_bound_s = 0.01
 """
 
 
-@dataclass(frozen=True)
-class Leg:
+class Leg(NamedTuple):
     """A leg of known parameters, the run that is fitted, and those that are simulated."""
 
     beta: FloatArray
@@ -72,13 +65,13 @@ class Leg:
 def emulated(seed: int) -> Leg:
     """Through registers, frames, drivers, recorder and clocks."""
     rng = np.random.default_rng([seed, 1])
-    base, s = LegBody(), rng.uniform(0.8, 1.25, 8).tolist()
-    body = LegBody(m1=base.m1 * s[0], l1=base.l1 * s[1], c1=base.c1 * s[2], i1=base.i1 * s[3], m2=base.m2 * s[4],
-                   c2=base.c2 * s[5], i2=base.i2 * s[6], viscous=(0.02 * s[7], 0.03), coulomb=(0.025, 0.04 * s[0]))
+    usual, s = vars(LegBody()), rng.uniform(0.8, 1.25, 8).tolist()
+    drawn = {name: usual[name] * by for name, by in zip(("m1", "l1", "c1", "i1", "m2", "c2", "i2"), s)}
+    body = LegBody(**drawn, viscous=(0.02 * s[7], 0.03), coulomb=(0.025, 0.04 * s[0]))
     rig, runs = parse_rig(RIG), []
-    with tempfile.TemporaryDirectory() as folder:
+    with new_folder() as folder:
         for k in range(1 + CHECKS):
-            path = Path(folder) / f"run{k}.mcap"
+            path = folder / f"run{k}.mcap"
             plan = random_multisine(1000 * seed + k, SECONDS, 0.8)
             record_emulated(path, rig, RIG, plan, 1000 * seed + k, body)
             runs.append(load_run(path, rig))
@@ -149,7 +142,7 @@ def mean(values: FloatArray) -> str:
 
 
 def page(legs: int = 10, seed: int = 900) -> Lines:
-    rows, totals = list[tuple[object, ...]](), []
+    rows, totals = [], []
     for name, make in FAMILIES.items():
         cutoffs = tune([make(seed + 100 + k) for k in range(min(TUNING, legs))])
         scored = [make(seed + k) for k in range(legs)]
@@ -159,10 +152,11 @@ def page(legs: int = 10, seed: int = 900) -> Lines:
         lowest = np.argmin(np.where(np.isfinite(own), own, np.inf), axis=0)
         for k, (method, (q1, q2)) in enumerate((m, of.T) for m, of in found.items()):
             printed = " + ".join(f"{x:.3g}" for x in PRINT[method]) if method in PRINT else "-"
-            rows.append((name, method, f"{cutoffs[method]:g}", mean(q1), mean(q2), mean(own[k]),
-                         mean(own[k] - least.sum(axis=1)), np.isnan(own[k]).sum(), f"{np.sum(lowest == k)} of {legs}",
-                         printed))
-        rows.append((name, "true parameters", "-", *map(mean, least.T), mean(least.sum(axis=1)), 0, 0, "-", "-"))
+            rows.append(f"{name} | {method} | {cutoffs[method]:g} | {mean(q1)} | {mean(q2)} | {mean(own[k])} | "
+                        f"{mean(own[k] - least.sum(axis=1))} | {np.isnan(own[k]).sum()} | "
+                        f"{np.sum(lowest == k)} of {legs} | {printed}")
+        rows.append(f"{name} | true parameters | - | {' | '.join(map(mean, least.T))} | {mean(least.sum(axis=1))} | "
+                    "0 | 0 | - | -")
         totals.append(np.vstack([own, least.sum(axis=1)]))
         tell(name, rows)
     every = np.concatenate(totals, axis=1)
@@ -175,7 +169,7 @@ def page(legs: int = 10, seed: int = 900) -> Lines:
         return f"{np.nanmean(of['wls-hall']) / np.nanmean(of[method]):.2f}"
 
     yield from [
-        "# Table V: free runs on data that the fit has not seen", "",
+        "# Table V: free runs on data that the fit has not seen",
         f"{legs} emulated legs (registers, frames, drivers, recorder, clocks) and {legs} of MuJoCo's, {RATE_HZ:g} Hz. "
         f"One run of {SECONDS:g} s is fitted; {CHECKS} others are simulated freely from rest under their measured "
         "torque. Mean over legs of the summed squared errors of one run of 20 s. `hall` reads the pivot's encoder, "
@@ -183,9 +177,9 @@ def page(legs: int = 10, seed: int = 900) -> Lines:
         f"Filters are the best of {', '.join(f'{c:g}' for c in CUTOFFS)} Hz on {TUNING} other legs of the family; "
         "`rls` has that of `wls-imu`, `mle` and `hekf` need one for their start only. Failures (no fit, no "
         "convergence, a diverged free run) are counted and left out of the means. The last row of a family is "
-        "what the noise of the measured torque leaves.", ""]
-    yield from table("legs | method | filter [Hz] | q1 [rad²] | q2 [rad²] | sum | above the truth's | failures | "
-                     "lowest | paper", rows)
+        "what the noise of the measured torque leaves."]
+    yield table("legs | method | filter [Hz] | q1 [rad²] | q2 [rad²] | sum | above the truth's | failures | "
+                "lowest | paper", rows)
     yield from [
         f"- MLE is lowest on {wins} of {own.shape[1]} legs, and within 5 % of the lowest on "
         f"{np.sum(by['mle-imu'] <= 1.05 * np.nanmin(own, axis=0))}.",
@@ -195,8 +189,8 @@ def page(legs: int = 10, seed: int = 900) -> Lines:
         f"({PRINT['wls-hall'][0] / PRINT['mle-free-imu'][0]:.1f} for q1 alone)."]
 
 
-EVIDENCE = (
-    Evidence("Table V of the paper: free runs of every method on twenty legs", "make table5", "table5.md", 15,
-             "MLE within 5 % of the lowest on 18 of 20 legs",
-             (r"MLE is lowest on \d+ of \d+ legs, and within 5 % of the lowest on \d+",)),)
+EVIDENCE = Evidence(
+    "Table V of the paper: free runs of every method on twenty legs", "make table5", "table5.md", 15,
+    "MLE within 5 % of the lowest on 18 of 20 legs",
+    (r"MLE is lowest on \d+ of \d+ legs, and within 5 % of the lowest on \d+",))
 main = program(page)

@@ -4,8 +4,6 @@ The plant is `tests/support/timed_leg`. Each leg is answered by `legid fit` and 
 file that states no rate, no hold and no delay.
 """
 
-from __future__ import annotations
-
 from itertools import count
 from typing import NamedTuple
 
@@ -57,7 +55,7 @@ def drawn(seed: int, turn: int) -> Timing:
         tick, every = float(rng.choice(TICKS_HZ)), int(rng.choice(LOGGED))
         if SLOWEST_LOG_HZ <= tick / every <= FASTEST_LOG_HZ:
             break
-    delay = round(float(rng.uniform(*DELAYS_S)), 4) if turn % 2 else 0.0
+    delay = round(rng.uniform(*DELAYS_S), 4) if turn % 2 else 0.0
     loop = str(rng.choice(["open", "pd"]))
     between = "zero" if loop == "pd" else str(rng.choice(["zero", "ramp", "average"]))
     return Timing(tick, every, delay, between, loop)
@@ -108,12 +106,12 @@ def page(minutes: float = 60.0, seed: int = 6000) -> Lines:
     off = [(abs(d[0] - a.unexplained_s), abs(d[0] - a.unexplained_s) / row_s(a.timing)) for a, d in named]
     off_s, samples = np.median(off, axis=0) if off else (np.nan, np.nan)
     yield from [
-        "# Holds and delays", "",
+        "# Holds and delays",
         "Legs of random parameters, integrated by Runge-Kutta at 8 kHz. A controller of 50 to 1000 Hz sets a torque, "
         "open loop or by PD on an encoder of 16,384 counts. A log keeps each, each second or each fifth tick. The "
         "torque is held, ramps, or is logged as the mean over the past row. Every other leg has a delay of up to 20 ms "
         f"that is no whole sample. `legid fit` and `legid diagnose` read {RUNS} runs of {SECONDS:g} s as CSV. The rig "
-        "file states no rate, no hold and no delay.", "",
+        "file states no rate, no hold and no delay.",
         f"- Healthy legs that end `none`: {share(a.verdict == 'none' for a in healthy)} (98 % wanted).",
         f"- Healthy legs whose fit says TRUST: {share(a.trust == 'TRUST' for a in healthy)}.",
         f"- Parameters of healthy legs within their intervals: {share(w for a in healthy for w in a.within)}, "
@@ -121,9 +119,9 @@ def page(minutes: float = 60.0, seed: int = 6000) -> Lines:
         f"- Material delays that are named: {share(a.delay is not None for a in late_ones)} (90 % wanted).",
         "- Named delays within their intervals, given the hold that was chosen: "
         f"{share(d[1] <= a.unexplained_s <= d[2] for a, d in named)} (93 to 97 % wanted).",
-        f"- Median error of named delays: {1e3 * off_s:.2g} ms, {samples:.2g} samples (0.05 wanted).", "",
-        "A delay counts together with the hold: how long the torque acts after its stamp in the mean.", ""]
-    yield from table(f"{TIMES} | hold | fit | verdict | causes | error over noise | delay found [ms]", map(_row, found))
+        f"- Median error of named delays: {1e3 * off_s:.2g} ms, {samples:.2g} samples (0.05 wanted).",
+        "A delay counts together with the hold: how long the torque acts after its stamp in the mean."]
+    yield table(f"{TIMES} | hold | fit | verdict | causes | error over noise | delay found [ms]", map(_row, found))
 
 
 def _row(a: Answer) -> str:
@@ -132,8 +130,8 @@ def _row(a: Answer) -> str:
             f"{delay}")
 
 
-EVIDENCE = (
-    Evidence("Holds, delays and rates of a controller and its log: are healthy legs left alone, and delays right?",
-             "make timing", "timing.md", 60, "98 % of healthy legs none, 90 % of delays named, to 0.05 samples",
-             (r"Healthy legs that end (`none`: [^(]* %)", r"delays that are (named: [^(]* %)", r"ms, (\S+ samples)")),)
+EVIDENCE = Evidence(
+    "Holds, delays and rates of a controller and its log: are healthy legs left alone, and delays right?",
+    "make timing", "timing.md", 60, "98 % of healthy legs none, 90 % of delays named, to 0.05 samples",
+    (r"Healthy legs that end (`none`: [^(]* %)", r"delays that are (named: [^(]* %)", r"ms, (\S+ samples)"))
 main = program(page)

@@ -4,10 +4,7 @@ Legs with known parameters, half of them with a hidden effect, are fitted from o
 RUNS --rig RIG --json` does. Real records with published values follow. Called again it goes on where it stopped.
 """
 
-from __future__ import annotations
-
 import json
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +16,9 @@ import legid
 from daq import Dataset, InputError, Rig, WorkError, load_rig
 from estimator import FitError
 from evidence.blind.score import Rate
-from evidence.frame import Lines, program, share, table, tell, within
+from evidence.frame import Lines, new_folder, program, share, table, tell, within
 from evidence.kept import kept
-from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, hidden_at, make
+from evidence.known_legs import FAMILIES, HEALTHY, NAMES, RUNS, Family, KnownLeg, hidden_at, make, short
 from evidence.lab_legs import lab_leg
 from evidence.machine_records import MACHINES, Machine
 from evidence.machines import typed, unpack
@@ -85,25 +82,30 @@ def errors_of(found: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str,
     return errors
 
 
+def fits_of(source: str, hidden: str, known: KnownLeg) -> tuple[Outcome, ...]:
+    """The fits of a leg from its first run and from all."""
+    return tuple(outcome(source, hidden, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+
+
 @kept
 def leg(family: str, turn: int, seed: int) -> tuple[Outcome, ...]:
-    """The leg of this turn, fitted from its first run and from all."""
+    """The leg of this turn."""
     hidden = HEALTHY if family == LAB else hidden_at(family, turn)
-    with tempfile.TemporaryDirectory() as place:
+    with new_folder() as folder:
         if family == LAB:
-            known = lab_leg(hidden, np.random.default_rng([seed, turn]), Path(place))
+            known = lab_leg(hidden, np.random.default_rng([seed, turn]), folder)
         else:
-            known = make(family, turn, seed, Path(place))
+            known = make(family, turn, seed, folder)
             known = known._replace(rig=structs.replace(known.rig, tolerance={"torque_gain": 0.0}))
-    return tuple(outcome(family, hidden, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+    return fits_of(family, hidden, known)
 
 
 @kept
 def wrong(times: float, turn: int, seed: int) -> tuple[Outcome, ...]:
     """A leg whose faults are drawn from `times` the tolerances."""
-    with tempfile.TemporaryDirectory() as place:
-        known = lab_leg(HEALTHY, np.random.default_rng([seed, turn, 1]), Path(place), times)
-    return tuple(outcome(f"{times:g}", HEALTHY, known.runs[:count], known.rig, known.truth) for count in (1, RUNS))
+    with new_folder() as folder:
+        known = lab_leg(HEALTHY, np.random.default_rng([seed, turn, 1]), folder, times)
+    return fits_of(f"{times:g}", HEALTHY, known)
 
 
 @kept
@@ -122,8 +124,7 @@ def record(number: int) -> tuple[Outcome, ...]:
 @kept
 def public(one: Machine, snapshot: Path) -> Outcome:
     """The fit of a public machine's records, typed as its page has it."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with new_folder() as folder:
         unpack(one, snapshot, folder)
         for command in one.commands:
             if not command.startswith(("legid validate", "legid diagnose")):
@@ -156,39 +157,38 @@ def page(turns: int = 40, minutes: float = 60.0, seed: int = 6200, snapshots: st
     families = [(name, kind, [one for one in rows if one.source == name and (one.hidden == HEALTHY) == healthy])
                 for name in EVERY_FAMILY for kind, healthy in KINDS]
     yield from [
-        "# Is TRUST right?", "",
+        "# Is TRUST right?",
         "Legs of seven families with known parameters. Every second leg has one hidden effect of the family's ordinary "
         f"strength. Each leg is fitted from its first run and from all {RUNS}, as `legid fit RUNS --rig RIG` does. The "
         "torque of these legs has the right scale, and their rig files say so; all other tolerances are the defaults. "
         "An eighth family has all faults at once, drawn from the default tolerances, that of the torque's scale too.",
-        "",
-        *(f"- {name}: {family.legs}" for name, family in EVERY_FAMILY.items()), "",
+        *(f"- {name}: {family.legs}" for name, family in EVERY_FAMILY.items()),
         "A fit is trusted if its first line begins with `TRUST the`. `TRUST WITH CARE` and `DO NOT TRUST` count as "
         "others. A share counts parameters; the intervals by Wilson take them as independent, which those of one fit "
         "are not. Distances are errors in standard deviations of the fit: median, 95th percentile. Friction counts "
         "only where the leg has the nominal model's law. The rotor of a geared leg is lumped into the parameters whose "
         "torque is nearest. Parameters at a bound and fits without values do not count. Half widths are medians over "
-        "inertias and gravity terms.", "",
-        f"{len(rows) // 2} legs were measured.", ""]
-    yield from table(HEAD, [
+        "inertias and gravity terms.",
+        f"{len(rows) // 2} legs were measured."]
+    yield table(HEAD, [
         *(_line(f"{name}, {kind}", some) for name, kind, some in families if some),
         *(_line(f"in all, {kind}", [one for one in rows if (one.hidden == HEALTHY) == healthy])
           for kind, healthy in KINDS),
         *(_line(f"in all, {count} run{'s' * (count > 1)}", [one for one in rows if one.runs == count])
           for count in (1, RUNS)),
         _line("in all", rows)])
-    yield from table("trusted fits | inertias and gravity terms within | friction within", (
-        (kind, _within(some, RIGID), _within(some, NAMES[5:])) for kind, healthy in KINDS
+    yield table("trusted fits | inertias and gravity terms within | friction within", (
+        f"{kind} | {_within(some, RIGID)} | {_within(some, NAMES[5:])}" for kind, healthy in KINDS
         for some in [[one for one in rows if one.trusted and (one.hidden == HEALTHY) == healthy]]))
-    yield from ["Faults drawn from half and from twice the tolerances that the rig file says:", ""]
-    yield from table(HEAD, (_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items()
+    yield "Faults drawn from half and from twice the tolerances that the rig file says:"
+    yield table(HEAD, (_line(f"faults {times:g} times the tolerances", some) for times, some in beyond.items()
                             if some))
-    yield from ["Trusted fits that miss inertias or gravity terms:", ""]
-    yield from table("family | hidden | runs | within | largest distance", _misses(rows))
+    yield "Trusted fits that miss inertias or gravity terms:"
+    yield table("family | hidden | runs | within | largest distance", _misses(rows))
     if real:
-        yield from ["Real records against published values, which have errors of their own:", ""]
-        yield from table("record | fit | first line | published values within | largest distance", (
-            (one.source, one.hidden.replace(HEALTHY, "-"), _short(one.sentence), *_held(one.errors.values()))
+        yield "Real records against published values, which have errors of their own:"
+        yield table("record | fit | first line | published values within | largest distance", (
+            (one.source, one.hidden.replace(HEALTHY, "-"), short(one.sentence), *_held(one.errors.values()))
             for one in real))
 
 
@@ -233,14 +233,9 @@ def _misses(rows: Sequence[Outcome]) -> Iterator[tuple[object, ...]]:
             yield one.source, one.hidden, one.runs, *_held(own)
 
 
-def _short(sentence: str) -> str:
-    """Without what follows the colon."""
-    return sentence.split("; ")[-1].split(":")[0].split(". ")[0].rstrip(".")
-
-
-EVIDENCE = (
-    Evidence("Of fits that say TRUST, how many parameters are within their intervals?", "make trust", "trust-rates.md",
-             60, "95 % of those of trusted fits",
-             tuple(rf"({which}) \| \d+ \| [^|]*\| ([^|]*\))"
-                   for which in ("in all, no effect", "in all, hidden effect", "in all"))),)
+EVIDENCE = Evidence(
+    "Of fits that say TRUST, how many parameters are within their intervals?", "make trust", "trust-rates.md",
+    60, "95 % of those of trusted fits",
+    tuple(rf"({which}) \| \d+ \| [^|]*\| ([^|]*\))"
+                   for which in ("in all, no effect", "in all, hidden effect", "in all")))
 main = program(page)

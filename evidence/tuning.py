@@ -4,12 +4,8 @@ The plant and the draw of its times are those of `make timing`. The rig file sta
 hold that none of the records has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import count, islice
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +13,7 @@ import numpy as np
 from daq import parse_rig
 from daq.runs import write_csv
 from estimator.model import lag
-from evidence.frame import Lines, program, share, table, within
+from evidence.frame import Lines, new_folder, program, share, table, within
 from evidence.kept import kept
 from evidence.registry import Evidence
 from evidence.timing import TIMES, cells, drawn, late, row_s
@@ -62,8 +58,8 @@ def tuned(seed: int, turn: int) -> Tuned:
     leg = random_leg(rng)
     rig = parse_rig(f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n'
                     f'[sampling]\nrate_hz = {timing.tick_hz / timing.log_every / 2}\nhold = "{STATED}"\n')
-    with TemporaryDirectory() as folder:
-        files = [Path(folder) / f"run{k}.csv" for k in range(RUNS)]
+    with new_folder() as folder:
+        files = [folder / f"run{k}.csv" for k in range(RUNS)]
         for file in files:
             write_csv(record(leg, rng, timing, seconds=SECONDS, name=file.stem), file)
         found = tune_runs(files, rig)
@@ -91,19 +87,17 @@ def right_time(one: Tuned) -> bool:
 def page(minutes: float = 20.0, legs: int = 20, seed: int = 6100) -> Lines:
     found = [tuned(seed, turn) for turn, _ in within(minutes, islice(timings(seed), legs))]
     yield from [
-        "# Rate, hold and delay by `legid tune`", "",
+        "# Rate, hold and delay by `legid tune`",
         f"Legs of [holds and delays](timing.md) whose logs have {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, {RUNS} runs of "
         f"{SECONDS:g} s each. The rig file states half the rate of the record and the hold `{STATED}`, which acts half "
         "a sample earlier than a controller. Hold and delay count together: how long after its stamp the torque acts.",
-        "",
         f"- Rate, and hold with delay to {NEAR:g} samples: "
         f"{share(right_rate(one) and right_time(one) for one in found)} (18 of 20 wanted).",
         f"- Rate alone: {share(map(right_rate, found))}. Hold with delay alone: {share(map(right_time, found))}.",
         "- Median error of the knee, after over before: "
-        f"{np.median([one.errors[1] / one.errors[0] for one in found]):.2f}.",
-        ""]
-    yield from table(f"{TIMES} | acts after [ms] | rate | hold | acts after, found [ms] | knee before, after [mrad] | "
-                     "gains of rate, hold, delay [%]", map(_row, found))
+        f"{np.median([one.errors[1] / one.errors[0] for one in found]):.2f}."]
+    yield table(f"{TIMES} | acts after [ms] | rate | hold | acts after, found [ms] | knee before, after [mrad] | "
+                "gains of rate, hold, delay [%]", map(_row, found))
 
 
 def _row(one: Tuned) -> str:
@@ -112,8 +106,8 @@ def _row(one: Tuned) -> str:
             f"{1e3 * one.late_s:.2f} | {1e3 * one.errors[0]:.1f}, {1e3 * one.errors[1]:.1f} | {gains}")
 
 
-EVIDENCE = (
-    Evidence("Does `legid tune` find rate, hold and delay of a record from a rig file with others?",
-             "make tuning", "tuning.md", 20, "rate and hold of 18 of 20 records",
-             (r"Rate, and hold with delay to 0.1 samples: ([^(]* %)", r"after over before: (\S+)\.")),)
+EVIDENCE = Evidence(
+    "Does `legid tune` find rate, hold and delay of a record from a rig file with others?",
+    "make tuning", "tuning.md", 20, "rate and hold of 18 of 20 records",
+    (r"Rate, and hold with delay to 0.1 samples: ([^(]* %)", r"after over before: (\S+)\."))
 main = program(page)

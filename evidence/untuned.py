@@ -3,39 +3,33 @@
 A rig.toml holds the mechanism, its driven joints, the gear and gravity, and nothing else.
 """
 
-from __future__ import annotations
-
-import contextlib
-import io
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from daq.dataset import Dataset, FloatArray
-from daq.rig import Rig, parse_rig
-from daq.runs.csv_run import write_csv
-from estimator.fitting.fit import fit
-from evidence.frame import Lines, program, table
+from daq import Dataset, FloatArray, Rig, parse_rig
+from daq.runs import write_csv
+from estimator import fit
+from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments import cli
 from experiments.session import load_runs, setup_of, with_choices
-from experiments.workflows import fit_runs
-from experiments.workflows.tune import tune_runs
+from experiments.workflows import fit_runs, tune_runs
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.paths import REAL
 
 ARM = '[mechanism]\nmodel = "leg2"\nactuated = [1, 2]\ngravity_mps2 = 9.81\n[motor]\ngear_ratio = 6.0\n'
 JOINT = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
+DEGREES = 180 / np.pi
 ENDS = ("sin_sin", "up_and_down", "sin_time_square", "lift_and_drop")
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """Runs of one rig, what is published of it, and under what model."""
 
     title: str
@@ -104,8 +98,8 @@ ARM_SPOILS: dict[str, tuple[Spoil, str]] = {
     "q2 negated": (negated("q2_rad"), "q2_rad looks negated"),
     "q1 negated": (negated("q1_rad"), "q1_rad looks negated"),
     "q2 and its torque negated": (negated("q2_rad", "tau2_nm"), "tau2_nm and q2_rad look negated"),
-    "degrees for radians, both": (times(180 / np.pi, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
-    "degrees for radians, q2": (times(180 / np.pi, "q2_rad"), "q2_rad looks in degrees"),
+    "degrees for radians, both": (times(DEGREES, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
+    "degrees for radians, q2": (times(DEGREES, "q2_rad"), "q2_rad looks in degrees"),
     "q2 of the motor's side": (times(6.0, "q2_rad"), "q2_rad looks of the motor's side"),
     "q2 by the gear twice": (times(1 / 6.0, "q2_rad"), "q2_rad looks divided by the gear ratio twice"),
     "q2 by a gear of 4 for 6": (times(1.5, "q2_rad"), "times too large"),
@@ -119,10 +113,10 @@ IMU_SPOILS: dict[str, tuple[Spoil, str]] = {
     "accelerometer's y negated": (negated("accel_y_mps2"), "accel_y_mps2 looks negated"),
     "accelerometer's axes interchanged": (swapped("accel_x_mps2", "accel_y_mps2"), "accel_x_mps2 looks like"),
     "gyro negated": (negated("gyro_radps"), "gyro_radps looks negated"),
-    "gyro in degrees": (times(180 / np.pi, "gyro_radps"), "gyro_radps looks in degrees"),
+    "gyro in degrees": (times(DEGREES, "gyro_radps"), "gyro_radps looks in degrees"),
     "accelerometer in g": (times(1 / 9.80665, "accel_x_mps2", "accel_y_mps2"), "look in g"),
     "knee's torque negated": (negated("tau2_nm"), "tau2_nm looks negated"),
-    "knee in degrees": (times(180 / np.pi, "q2_rad"), "q2_rad looks in degrees"),
+    "knee in degrees": (times(DEGREES, "q2_rad"), "q2_rad looks in degrees"),
 }
 
 
@@ -149,17 +143,18 @@ def cases() -> Iterator[Case]:
         by, said = ARM_SPOILS[what]
         yield "arm A.0", what, ARM, [spoilt(run, by) for run in a0], said
     yield "arm A.0", "a file of the other arm", ARM, [*a0, replace(c0[0], name="other.csv")], "other.csv is set aside"
-    still = spoilt(a0[3], lambda d: {"q2_rad": np.full(len(d), 0.3)})
-    yield "arm A.0", "q2 stuck in one run", ARM, [*a0[:3], still], f"{still.name} is set aside: joint 2 never moves"
-    stuck = spoilt(a0[3], lambda d: {"tau1_nm": np.full(len(d), 0.4)})
-    yield "arm A.0", "a torque stuck in one run", ARM, [*a0[:3], stuck], "tau1_nm never changes"
-    turned = spoilt(a0[3], negated("tau2_nm"))
-    yield "arm A.0", "torque negated in one run", ARM, [*a0[:3], turned], f"{turned.name} is set aside"
+    last = a0[3].name
+    in_one: tuple[tuple[str, Spoil, str], ...] = (
+        ("q2 stuck", lambda d: {"q2_rad": np.full(len(d), 0.3)}, f"{last} is set aside: joint 2 never moves"),
+        ("a torque stuck", lambda d: {"tau1_nm": np.full(len(d), 0.4)}, "tau1_nm never changes"),
+        ("torque negated", negated("tau2_nm"), f"{last} is set aside"))
+    for what, by, said in in_one:
+        yield "arm A.0", f"{what} in one run", ARM, [*a0[:3], spoilt(a0[3], by)], said
     emps = raw("emps", ("estimation",), parse_rig(RECORDS["emps"].rig))
     yield "axis", "force negated", RECORDS["emps"].rig, [spoilt(emps[0], negated("tau1_n"))], "tau1_n looks negated"
     bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), parse_rig(servo))
     for what, by, said in (("volts negated", negated("voltage1_v"), "duty looks negated"),
-                           ("degrees for radians", times(180 / np.pi, "q1_rad"), "q1_rad looks in degrees"),
+                           ("degrees for radians", times(DEGREES, "q1_rad"), "q1_rad looks in degrees"),
                            ("gravity upside down", lambda d: {"q1_rad": d["q1_rad"] + np.pi}, "upside down")):
         yield "servo", what, servo, [spoilt(run, by) for run in bam], said
     rng = np.random.default_rng(5)
@@ -172,13 +167,12 @@ def cases() -> Iterator[Case]:
 
 def fitted(runs: Sequence[Dataset], rig: str) -> tuple[int, str]:
     """Exit status of `legid fit` and all that it said."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as out, \
-            contextlib.redirect_stderr(out):
+    with new_folder() as folder, heard() as out:
         files = []
         for run in runs:
             files.append(f"{folder}/{run.name.removesuffix('.gz')}")
             write_csv(run, files[-1])
-        Path(folder, "rig.toml").write_text(rig)
+        (folder / "rig.toml").write_text(rig)
         status = cli.main(["fit", *files, "--rig", f"{folder}/rig.toml"])
     return status, out.getvalue().replace(".csv.gz", ".csv")
 
@@ -199,21 +193,21 @@ def page(only: Sequence[str] = tuple(RECORDS)) -> Lines:
         raise SystemExit(f"{REAL} is not there: the records are no part of the project")
     rows = [judged(case) for case in cases()]
     yield from [
-        "# Real records without a specialist", "",
-        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing",
-        "else. Every figure is of one command without an option.", "",
-        "## Departure from what is published [%]", "",
+        "# Real records without a specialist",
+        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing else. "
+        " Every figure is of one command without an option.",
+        "## Departure from what is published [%]",
         "beta1, beta2, ... in the mechanism's order. Before: a fit that chooses nothing. `fit`: with its own "
-        "choices", "for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`.", ""]
-    yield from table("record | before | `fit` | `tune`, then `fit`", map(accuracy, only))
-    yield from ["## Spoilt set-ups", "",
+        "choices for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`."]
+    yield table("record | before | `fit` | `tune`, then `fit`", map(accuracy, only))
+    yield from ["## Spoilt set-ups",
                 f"{sum(ok for _, ok in rows)} of {len(rows)} variants are named with the right remedy or run; none may "
-                "converge in silence.", ""]
-    yield from table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
+                "converge in silence."]
+    yield table("record | spoilt by | `legid fit` | the cause is", (row for row, _ in rows))
 
 
-EVIDENCE = (
-    Evidence("Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
-             "every spoilt set-up named with its remedy, none converges silently",
-             (r"\d+ of \d+ variants are named with the right remedy or run",)),)
+EVIDENCE = Evidence(
+    "Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
+    "every spoilt set-up named with its remedy, none converges silently",
+    (r"\d+ of \d+ variants are named with the right remedy or run",))
 main = program(page)

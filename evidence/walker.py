@@ -4,25 +4,22 @@ The plant is that of tests/support/walker_plant.py: bodies drawn anew for every 
 impact of its own. It shares nothing with the estimator.
 """
 
-from __future__ import annotations
-
-import contextlib
-import io
 import json
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from daq import Dataset, FloatArray
 from daq.runs import write_csv
 from estimator.likelihood import Noise
 from estimator.model import biped3
 from estimator.signals import find_touchdowns
-from evidence.frame import Lines, program, table
+from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
 from experiments.cli.main import main as legid
@@ -67,15 +64,15 @@ SENSORS = Sensors()
 
 def typed(*words: object) -> int:
     """Exit status of one command; what it prints is not wanted."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    with heard():
         return legid([str(word) for word in words])
 
 
-def walked(plant: Plant, seed: Sequence[int], steps: int, rate_hz: float) -> tuple[Walk, np.random.Generator]:
+def walked(plant: Plant, seed: Sequence[int], steps: int, rate_hz: float) -> tuple[Walk, Generator]:
     """A walk; one that falls is drawn anew."""
     for attempt in range(50):
-        rng = np.random.default_rng([*seed, attempt])
-        with contextlib.suppress(RuntimeError):
+        rng = default_rng([*seed, attempt])
+        with suppress(RuntimeError):
             return walk(plant, Gait(), steps, rng, rate_hz, round(400.0 / rate_hz)), rng
     raise RuntimeError(f"the walker of {seed} falls every time")
 
@@ -88,8 +85,7 @@ def put(folder: Path, runs: Sequence[Dataset], rate_hz: float) -> list[Path]:
     return [folder / data.name for data in runs]
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """Of one walk: error of the touchdowns found [s], then with the stance known and found: (beta - truth) over its
     deviation and over the bound's."""
 
@@ -110,7 +106,7 @@ def bound(found: Walk, beta: FloatArray) -> FloatArray:
 @kept
 def fit_walk(seed: int) -> Fit:
     """One body, one walk, two records: a contact that changes up to 5 ms early or late, and none."""
-    body = random_walker(np.random.default_rng([seed, 1]))
+    body = random_walker(default_rng([seed, 1]))
     found, rng = walked(Plant(body), [seed], STEPS, RATE_HZ)
     beta, smallest = body.beta, bound(found, body.beta)
     late = found.touchdown_s + rng.uniform(-KNOWN_S, KNOWN_S, found.touchdown_s.size)
@@ -119,8 +115,7 @@ def fit_walk(seed: int) -> Fit:
                "found": record("found.csv", found, rng, SENSORS, stance=False)}
     shown = find_touchdowns(records["found"]).time_s
     own, by_bound = {}, {}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with new_folder() as folder:
         for what, path in zip(records, put(folder, list(records.values()), RATE_HZ)):
             status = typed("fit", path, "--rig", folder / "rig.toml", "--json", folder / f"{what}.json")
             document = json.loads((folder / f"{what}.json").read_text()) if status == 0 else {}
@@ -132,8 +127,9 @@ def fit_walk(seed: int) -> Fit:
     return Fit(shown - last if len(shown) == len(last) else np.array([np.inf]), own, by_bound)
 
 
-Hide = Callable[[np.random.Generator], tuple[int | None, Law, Callable[[Dataset], Dataset]]]
-"""-> joint (None: all), law of the hips, what the sensors make of a record."""
+Effect = tuple[int | None, Law, Callable[[Dataset], Dataset]]
+"""Joint (None: all), law of the hips, what the sensors make of a record."""
+Hide = Callable[[Generator], Effect]
 
 
 def _same(data: Dataset) -> Dataset:
@@ -142,8 +138,8 @@ def _same(data: Dataset) -> Dataset:
 
 def _rubbing(force: Callable[[float, float, float], float], low: float, high: float) -> Hide:
     """A torque by (angle, rate, rounded sign of the rate), times a size between `low` and `high`, at one hip."""
-    def hide(rng: np.random.Generator) -> tuple[int | None, Law, Callable[[Dataset], Dataset]]:
-        leg, size = int(rng.integers(2)), float(rng.uniform(low, high))
+    def hide(rng: Generator) -> Effect:
+        leg, size = int(rng.integers(2)), rng.uniform(low, high)
 
         def law(at: int, angle: float, rate: float, torque: float) -> float:
             return size * force(angle, rate, rate / float(np.hypot(rate, 0.02))) if at == leg else 0.0
@@ -153,7 +149,7 @@ def _rubbing(force: Callable[[float, float, float], float], low: float, high: fl
 
 def _misread(columns: Callable[[int], Sequence[str]], low: float, high: float, one: bool) -> Hide:
     """A constant in columns of one leg, or of both."""
-    def hide(rng: np.random.Generator) -> tuple[int | None, Law, Callable[[Dataset], Dataset]]:
+    def hide(rng: Generator) -> Effect:
         leg, size = int(rng.integers(2)), float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
 
         def off(data: Dataset) -> Dataset:
@@ -173,11 +169,10 @@ HIDDEN: dict[str, Hide] = {
 @kept
 def look_ahead(seed: int) -> list[dict[str, Any]]:
     """One body, a fit to one walk, put to another by `legid validate`: its free runs across touchdowns."""
-    plant = Plant(random_walker(np.random.default_rng([seed, 1])))
+    plant = Plant(random_walker(default_rng([seed, 1])))
     runs = [record(f"{name}.csv", *walked(plant, [seed, k, 3], STEPS, RATE_HZ), SENSORS)
             for k, name in enumerate(("fit", "new"))]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with new_folder() as folder:
         seen, new = put(folder, runs, RATE_HZ)
         model, rig, out = folder / "model.json", folder / "rig.toml", folder / "v.json"
         if typed("fit", seen, "--rig", rig, "--model-out", model):
@@ -197,15 +192,14 @@ def ahead_page(found: Sequence[Sequence[dict[str, Any]]]) -> Iterator[str]:
         rows.append((n + 1, pieces, fell, *(["all fell"] * 3 if fell == pieces else [
             f"{np.sqrt(np.average([(a['rmse'][f'q{j}_rad'] or 0.0) ** 2 for a in of], weights=weights)):.3f}"
             for j in (1, 2, 3)])))
-    yield from ["## Across touchdowns", "",
+    yield from ["## Across touchdowns",
                 f"`legid validate` of a fit on another walk of the same body, {len(found)} bodies. Free runs start "
                 "with each step under measured torques, without a controller. Errors [rad] are of the last of so many "
-                "steps.", ""]
-    yield from table("steps | free runs | fell | torso | hip, standing leg | hip, swinging leg", rows)
+                "steps."]
+    yield table("steps | free runs | fell | torso | hip, standing leg | hip, swinging leg", rows)
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One diagnosis."""
 
     seed: int
@@ -223,15 +217,14 @@ class Case:
 @kept
 def diagnose(seed: int, hidden: str) -> Case:
     """Eight runs of seven steps of one body, with something hidden or nothing."""
-    rng = np.random.default_rng([seed, 1])
+    rng = default_rng([seed, 1])
     body = random_walker(rng)
     joint, law, read = HIDDEN[hidden](rng) if hidden else (None, no_loss, _same)
     plant, runs = Plant(body, law), []
     for k in range(RUNS):
         found, noise = walked(plant, [seed, k, 2], RUN_STEPS, RUN_RATE_HZ)
         runs.append(read(record(f"walk{k}.csv", found, noise, SENSORS)))
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with new_folder() as folder:
         paths = put(folder, runs, RUN_RATE_HZ)
         typed("diagnose", *paths, "--rig", folder / "rig.toml", "--json", folder / "d.json", "--workers", 1)
         document: dict[str, Any] = json.loads((folder / "d.json").read_text())
@@ -249,15 +242,15 @@ def fit_page(fits: Sequence[Fit]) -> Iterator[str]:
         inside = np.abs(own) < 1.96
         rows.append(f"{told} | {len(own)} of {len(fits)} | {np.sqrt(np.mean(ratio**2)):.2f} | {each.max():.2f} "
                     f"| {100 * inside.mean():.1f} % +- {100 * inside.mean(axis=1).std() / np.sqrt(len(own)):.1f}")
-    yield from ["## Fits", "",
+    yield from ["## Fits",
                 f"{len(fits)} walks of {STEPS} steps, a body each, at {RATE_HZ:g} Hz: torso's angle to "
                 f"{1e3 * SENSORS.torso_rad:g} mrad, hips' to {1e3 * SENSORS.encoder_rad:g}, torques to "
                 f"{SENSORS.torque_nm:g} N m, levels declared. `legid fit` of each walk alone. Error over the "
-                "Cramér-Rao bound of all samples, the touchdowns known exactly.", ""]
-    yield from table("touchdowns | converged | rms error / bound | worst parameter | 95 % intervals that hold", rows)
-    yield from [f"Touchdowns found: {late.size} of {late.size} to within {late.max():.2f} ms, "
-                f"{np.sqrt(np.mean(late**2)):.2f} ms rms."
-                if np.isfinite(late).all() else "Touchdowns were missed, or invented.", ""]
+                "Cramér-Rao bound of all samples, the touchdowns known exactly."]
+    yield table("touchdowns | converged | rms error / bound | worst parameter | 95 % intervals that hold", rows)
+    yield (f"Touchdowns found: {late.size} of {late.size} to within {late.max():.2f} ms, "
+           f"{np.sqrt(np.mean(late**2)):.2f} ms rms."
+           if np.isfinite(late).all() else "Touchdowns were missed, or invented.")
 
 
 def place(effect: str, joint: int | None) -> str:
@@ -266,26 +259,26 @@ def place(effect: str, joint: int | None) -> str:
 
 def page(fits: int = 24, cases: int = 10, seed: int = 7000) -> Lines:
     kinds = list(HIDDEN)
-    yield from ["# Twenty steps of a walker", "",
+    yield from ["# Twenty steps of a walker",
                 "A planar walker of three bodies (Grizzle, Abba and Plestan 2001) on level ground. A plant of the "
                 "tests simulates it: landing is an event, the impact has no slip or rebound. Masses, lengths and "
-                "inertias vary by an eighth either way.", ""]
+                "inertias vary by an eighth either way."]
     yield from fit_page([fit_walk(seed + k) for k in range(fits)])
     yield from ahead_page([found for k in range(min(4, fits)) if (found := look_ahead(seed + 300 + k))])
     ill = [diagnose(seed + 100 + k, kinds[k % len(kinds)]) for k in range(cases)]
     healthy = [diagnose(seed + 200 + k, "") for k in range(cases)]
-    yield from ["## Diagnoses", "",
+    yield from ["## Diagnoses",
                 f"{RUNS} walks of {RUN_STEPS} steps of one body each, at {RUN_RATE_HZ:g} Hz, `legid diagnose`. Named "
                 f"alone: {sum(c.right for c in ill)} of {len(ill)} hidden effects; nothing named: "
-                f"{sum(c.right for c in healthy)} of {len(healthy)} healthy walkers.", ""]
-    yield from table("seed | hidden | verdict | causes", (
-        (c.seed, place(c.hidden, c.joint) or "nothing", c.verdict, ", ".join(place(*x) for x in c.causes))
+                f"{sum(c.right for c in healthy)} of {len(healthy)} healthy walkers."]
+    yield table("seed | hidden | verdict | causes", (
+        f"{c.seed} | {place(c.hidden, c.joint) or 'nothing'} | {c.verdict} | {', '.join(place(*x) for x in c.causes)}"
         for c in (*ill, *healthy)))
 
 
-EVIDENCE = (
-    Evidence("Twenty steps of a walker: touchdowns, fits, free runs, diagnoses", "make walker", "walker.md", 30,
-             "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
-             (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
-              r"nothing named: \d+ of \d+ healthy walkers")),)
+EVIDENCE = Evidence(
+    "Twenty steps of a walker: touchdowns, fits, free runs, diagnoses", "make walker", "walker.md", 30,
+    "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
+    (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
+              r"nothing named: \d+ of \d+ healthy walkers"))
 main = program(page)

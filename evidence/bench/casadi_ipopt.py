@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from estimator.likelihood.measured_runs import slack_of
+from estimator.likelihood import slack_of
 from evidence.bench.record import Posed, Watch
 
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))

@@ -1,25 +1,25 @@
 """legid's own fit: time, memory, and its floor."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from daq import FloatArray
 from daq.runs import write_csv
-from estimator.fitting.fit import fit
+from estimator import FitResult, fit
+from estimator.likelihood import slack_of
 from estimator.likelihood.latent_problem import PIECE
-from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.memory import pieces
 from estimator.model import Collocation, Motion
 from evidence.bench.record import OPTIONS, Posed, Recorded, Watch, pose
+from evidence.frame import new_folder
 from tests.support.assembly_numpy import accelerometer_rows, motion_rows
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n'
@@ -27,12 +27,12 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}
 
 def best_of(action: Callable[[], object], times: int) -> float:
     """Least seconds of a few runs: what others do on the machine only ever adds."""
-    found = np.inf
-    for _ in range(times):
+    def once() -> float:
         watch = Watch()
         action()
-        found = min(found, watch.seconds())
-    return float(found)
+        return watch.seconds()
+
+    return min(once() for _ in range(times))
 
 
 def peak_memory_mb() -> float:
@@ -44,7 +44,7 @@ def peak_memory_mb() -> float:
     return float(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
-def by_kernels(c: Collocation, motion: Motion, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_kernels(c: Collocation, motion: Motion, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Regressor and slopes as the fit has them."""
     return c.fast(*motion, beta)
 
@@ -68,11 +68,11 @@ def solve(recorded: Recorded) -> dict[str, Any]:
     """Whole fit from measurements to intervals: a process's first, with its peak memory, then the best of several."""
     times = max(5, min(25, 60_000 // len(recorded.data.time_s)))
 
-    def whole() -> object:
+    def whole() -> FitResult:
         return fit([recorded.data], recorded.mechanism, OPTIONS)
 
     watch = Watch()
-    result = fit([recorded.data], recorded.mechanism, OPTIONS)
+    result = whole()
     first = watch.seconds()
     memory = peak_memory_mb()
     seconds = best_of(whole, times)
@@ -84,14 +84,14 @@ def solve(recorded: Recorded) -> dict[str, Any]:
             "beta": result.beta.tolist(), "memory_mb": memory, "evaluation_s": evaluation, "linearise_s": linearise}
 
 
-def typed(recorded: Recorded, times: int = 5) -> float:
+def typed(recorded: Recorded) -> float:
     """Least seconds of `legid fit` as a command, from a CSV file, its children's processor seconds where fewer."""
-    with tempfile.TemporaryDirectory() as directory:
-        run, rig = Path(directory) / "run.csv", Path(directory) / "rig.toml"
+    with new_folder() as folder:
+        run, rig = folder / "run.csv", folder / "rig.toml"
         write_csv(recorded.data, run)
         rig.write_text(RIG.format(lever=recorded.mechanism.lever_arm))
         found = np.inf
-        for _ in range(times):
+        for _ in range(5):
             clock, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run([sys.executable, "-m", "experiments.cli", "fit", str(run), "--rig", str(rig)], check=True,
                            capture_output=True)
@@ -103,9 +103,6 @@ def typed(recorded: Recorded, times: int = 5) -> float:
 
 def solve_free(recorded: Recorded) -> dict[str, Any]:
     """The paper's free latents, by legid's own derivatives: `--latent free`."""
-    from dataclasses import replace
-
-    options = replace(OPTIONS, latent="free")
     watch = Watch()
-    result = fit([recorded.data], recorded.mechanism, options)
+    result = fit([recorded.data], recorded.mechanism, replace(OPTIONS, latent="free"))
     return {"seconds": watch.seconds(), "iterations": result.iterations, "beta": result.beta.tolist()}

@@ -1,14 +1,13 @@
 """The paper's literal recipe, section IV: free latents, numerical gradient and Hessian of (50), Newton's step (51)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from daq import FloatArray
 from estimator.fitting.mle_free import FreeProblem, build_problem, first_latents
-from estimator.signals.segments import split_signals
+from estimator.signals import split_signals
 from evidence.bench.record import OPTIONS, Recorded, Watch
 
 STEP = 3e-3
@@ -27,9 +26,9 @@ def evaluations(latents: int) -> int:
     return 1 + 2 * latents + 2 * latents * (latents - 1)
 
 
-def newton(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, int]:
+def newton(problem: FreeProblem, w: FloatArray) -> tuple[FloatArray, int]:
     """Latents at the minimum, and steps."""
-    def s(at: np.ndarray) -> float:
+    def s(at: FloatArray) -> float:
         r = problem.residual(at)
         return float(r @ r)
 
@@ -49,7 +48,7 @@ def newton(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, int]:
     return w, steps
 
 
-def _at(s: Callable[[np.ndarray], float], w: np.ndarray, *moves: tuple[int, float]) -> float:
+def _at(s: Callable[[FloatArray], float], w: FloatArray, *moves: tuple[int, float]) -> float:
     for i, by in moves:
         w[i] += by
     value = s(w)

@@ -3,8 +3,6 @@
     python -m evidence bench.peer PEER RECORD.npz SAMPLES LIMIT_S
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

@@ -1,22 +1,17 @@
 """The one record of a leg that all peers get, and the problem that the default estimator makes of it."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.dataset import Dataset
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import noise_floors, start_state
-from estimator.fitting.wls import free_mask
-from estimator.likelihood.latent_problem import LatentProblem
-from estimator.likelihood.state import State
-from estimator.model.mechanism import Mechanism, leg2
-from estimator.options import FitOptions
-from estimator.signals.segments import split_signals
+from daq import Dataset
+from estimator import FitOptions
+from estimator.fitting import free_mask, iterate, noise_floors, start_state
+from estimator.likelihood import LatentProblem, State
+from estimator.model import Mechanism, leg2
+from estimator.signals import split_signals
 
 RATE_HZ = 100.0
 SEED = 506

@@ -5,13 +5,10 @@ next call on the same machine and day: an interrupted bench goes on where it sto
 Of the paper's recipe one evaluation is timed first; where a single step would pass the limit it is not begun.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
@@ -23,7 +20,7 @@ import numpy as np
 
 from evidence.bench.peer import PEERS
 from evidence.bench.record import RATE_HZ, SEED, write_record
-from evidence.frame import Lines, program, table, tell
+from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.registry import Evidence
 from studies import machine
@@ -34,13 +31,15 @@ TITLES = {"legid": "legid, whole fit", "casadi": "CasADi with IPOPT", "mujoco": 
           "free": "legid `--latent free`", "paper": "the paper's recipe"}
 TYPED = "typed_s"
 """Of the whole process: legid's command from a file, another's script from its first import."""
-Table = dict[tuple[str, int], dict[str, Any]]
+Found = dict[str, Any]
+"""By one peer on one length"""
+Table = dict[tuple[str, int], Found]
 
 
-def ask(peer: str, record: Path, samples: int, limit: float) -> dict[str, Any]:
+def ask(peer: str, record: Path, samples: int, limit: float) -> Found:
     """What the peer found, or why it found nothing, with what it had said before."""
     command = [sys.executable, "-m", "evidence", "bench.peer", peer, str(record), str(samples), str(limit)]
-    told: dict[str, Any] = {}
+    told: Found = {}
     clock, before = time.perf_counter(), os.times()
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -61,12 +60,12 @@ def ask(peer: str, record: Path, samples: int, limit: float) -> dict[str, Any]:
 def measure(lengths: Sequence[int], peers: Sequence[str], limit: float) -> Table:
     """All peers on all lengths; one that did not end on a length is not asked for longer ones."""
     found: Table = {}
-    with tempfile.TemporaryDirectory() as directory:
-        record = Path(directory) / "record.npz"
+    with new_folder() as folder:
+        record = folder / "record.npz"
         write_record(record, max(lengths))
 
         @kept
-        def asked_today(peer: str, samples: int, limit: float, day: str, machine: str) -> dict[str, Any]:
+        def asked_today(peer: str, samples: int, limit: float, day: str, machine: str) -> Found:
             return ask(peer, record, samples, limit)
 
         for peer in peers:
@@ -79,7 +78,7 @@ def measure(lengths: Sequence[int], peers: Sequence[str], limit: float) -> Table
     return found
 
 
-def cell(entry: dict[str, Any] | None) -> str:
+def cell(entry: Found | None) -> str:
     """Seconds, or why there are none."""
     if entry is None:
         return "not tried"
@@ -103,7 +102,7 @@ def ratio(found: Table, peer: str, samples: int, key: str = "seconds") -> str:
     return f"{entry[key] / found['legid', samples]['seconds']:.0f}" if key in entry else "-"
 
 
-FLOOR: dict[str, Callable[[dict[str, Any], int], str]] = {
+FLOOR: dict[str, Callable[[Found, int], str]] = {
     "iterations": lambda e, n: f"{e['iterations']}",
     "one residual and Jacobian, ms": lambda e, n: f"{1e3 * e['evaluation_s']:.2f}",
     "the same, and its normal equations, ms": lambda e, n: f"{1e3 * e['linearise_s']:.2f}",
@@ -122,16 +121,16 @@ def tables(found: Table, lengths: Sequence[int], peers: Sequence[str]) -> Iterat
     if "legid" in peers:
         rows |= {title: [f"{found['legid', n][key]:.3f}" for n in lengths] for title, key in (
             ("the first fit of a process", "first_s"), ("`legid fit`, the whole command", TYPED))}
-    yield from ["Seconds, on the clock or of the processor, whichever are fewer (CasADi: build + solve):", ""]
-    yield from table(head, ((title, *cells) for title, cells in rows.items()))
+    yield "Seconds, on the clock or of the processor, whichever are fewer (CasADi: build + solve):"
+    yield table(head, ((title, *cells) for title, cells in rows.items()))
     if "legid" not in peers:
         return
     times = [(TITLES[peer], peer, "seconds") for peer in peers[1:]]
     times += [("CasADi's solve alone", "casadi", "solve_s")] * ("casadi" in peers)
-    yield from ["Times legid's whole fit:", ""]
-    yield from table(head, ((title, *(ratio(found, peer, n, key) for n in lengths)) for title, peer, key in times))
-    yield from ["legid against its own floor:", ""]
-    yield from table(head, ((title, *(show(found["legid", n], n) for n in lengths)) for title, show in FLOOR.items()))
+    yield "Times legid's whole fit:"
+    yield table(head, ((title, *(ratio(found, peer, n, key) for n in lengths)) for title, peer, key in times))
+    yield "legid against its own floor:"
+    yield table(head, ((title, *(show(found["legid", n], n) for n in lengths)) for title, show in FLOOR.items()))
     if len(lengths) > 1:
         yield f"Exponent of growth from {min(lengths):,} to {max(lengths):,} samples: {exponent(found, lengths):.2f}."
     if {6000, 60000} <= set(lengths):
@@ -148,21 +147,18 @@ records most of the time goes into calls, not arithmetic."""
 def asked(found: Table) -> Iterator[str]:
     """What was asked of the fit, and what this run shows, as Markdown; of what was measured only."""
     rows: list[tuple[str, float, float, str, str]] = []
-
-    def times(title: str, peer: str, samples: int, least: float, key: str = "seconds") -> None:
-        entry, own = found.get((peer, samples), {}), found.get(("legid", samples), {})
-        if key in entry and "seconds" in own:
-            rows.append((title, entry[key] / own["seconds"], least, "at least", " times"))
-
-    times("faster than CasADi with IPOPT, 2,000 samples", "casadi", 2000, 30)
-    times("faster than its solve alone, 2,000 samples", "casadi", 2000, 3, "solve_s")
-    times("faster than MuJoCo sysid at the record's rate, 5,000 samples", "mujoco", 5000, 50)
-    times("faster than MuJoCo sysid at its default step, 5,000 samples", "mujoco-2ms", 5000, 50)
-    for title, peer, least in (("CasADi with IPOPT", "casadi", 10), ("MuJoCo sysid", "mujoco", 5)):
-        if "seconds" in found.get((peer, 2000), {}) and ("legid", 2000) in found:
-            by = found[peer, 2000][TYPED] / found["legid", 2000][TYPED]
-            rows.append((f"as typed, 2,000 samples, against {title} as a script", by, least, "at least", " times"))
     own = {n: e for (peer, n), e in found.items() if peer == "legid" and "seconds" in e}
+    for title, peer, n, least, theirs, ours in (
+            ("faster than CasADi with IPOPT, 2,000 samples", "casadi", 2000, 30, "seconds", "seconds"),
+            ("faster than its solve alone, 2,000 samples", "casadi", 2000, 3, "solve_s", "seconds"),
+            ("faster than MuJoCo sysid at the record's rate, 5,000 samples", "mujoco", 5000, 50, "seconds", "seconds"),
+            ("faster than MuJoCo sysid at its default step, 5,000 samples", "mujoco-2ms", 5000, 50, "seconds",
+             "seconds"),
+            ("as typed, 2,000 samples, against CasADi with IPOPT as a script", "casadi", 2000, 10, TYPED, TYPED),
+            ("as typed, 2,000 samples, against MuJoCo sysid as a script", "mujoco", 2000, 5, TYPED, TYPED)):
+        entry = found.get((peer, n), {})
+        if "seconds" in entry and n in own:
+            rows.append((title, entry[theirs] / own[n][ours], least, "at least", " times"))
     if len(own) > 1:
         rows.append(("exponent of growth", exponent(found, list(own)), 1.05, "at most", ""))
     floors = [e["seconds"] / e["evaluation_s"] / e["iterations"] for e in own.values()]
@@ -175,16 +171,16 @@ def asked(found: Table) -> Iterator[str]:
         rows.append(("60,000 samples over 6,000, as typed", growth, 11, "at most", " times"))
     if 60000 in own:
         rows.append(("peak memory at 60,000 samples", own[60000]["memory_mb"], 500, "at most", " MB"))
-    yield from table(" | asked | measured | ", (
-        (title, f"{sense} {bound:g}{unit}", f"{value:.3g}{unit}",
-         "met" if (value >= bound if sense == "at least" else value <= bound) else "missed")
+    yield table(" | asked | measured | ", (
+        f"{title} | {sense} {bound:g}{unit} | {value:.3g}{unit} | "
+        + ("met" if (value >= bound if sense == "at least" else value <= bound) else "missed")
         for title, value, bound, sense, unit in rows))
     yield BEYOND
     if 5000 in own and "seconds" in found.get(("mujoco", 5000), {}):
         share = 1e6 * found["mujoco", 5000]["seconds"] / 50 / (5000 * own[5000]["iterations"])
-        yield ("MuJoCo sysid fits eight parameters to a free run, but neither motion nor noise levels.\n"
-                     f"A fiftieth of its time is {share:.2f} us for each sample and step of the fit. Residual and "
-                     f"Jacobian take {1e6 * own[5000]['evaluation_s'] / 5000:.2f} us.")
+        yield ("MuJoCo sysid fits eight parameters to a free run, but neither motion nor noise levels. A fiftieth of "
+               f"its time is {share:.2f} us for each sample and step of the fit. Residual and Jacobian take "
+               f"{1e6 * own[5000]['evaluation_s'] / 5000:.2f} us.")
 
 
 COMPARED = """\
@@ -199,8 +195,7 @@ What is compared:
   runs at the record's rate, its cheapest, and in MuJoCo's default steps of 2 ms
   (`evidence/bench/mujoco_sysid.py`).
 - **legid `--latent free`** is the paper's free latents with exact sparse derivatives. **The paper's recipe** takes them
-  numerically, as (51) says (`evidence/bench/paper.py`).
-"""
+  numerically, as (51) says (`evidence/bench/paper.py`)."""
 
 
 def page(samples: Sequence[int] = SAMPLES, limit: float = 600.0, peers: Sequence[str] = PEERS) -> Lines:
@@ -208,22 +203,22 @@ def page(samples: Sequence[int] = SAMPLES, limit: float = 600.0, peers: Sequence
     found = measure(samples, peers, limit)
     packages = ", ".join(f"{name} {version(name)}" for name in ("numba", "casadi", "mujoco"))
     yield from [
-        "# Speed of the default fit", "",
-        f"A leg with IMU and knee encoder, simulated by MuJoCo (seed {SEED}, {RATE_HZ:.0f} Hz); shorter",
-        f"records are the beginning of the longest. Each peer ran alone in its own process, at most {limit:.0f} s.", "",
-        f"{packages}, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}.",
+        "# Speed of the default fit",
+        f"A leg with IMU and knee encoder, simulated by MuJoCo (seed {SEED}, {RATE_HZ:.0f} Hz); shorter "
+        f"records are the beginning of the longest. Each peer ran alone in its own process, at most {limit:.0f} s.",
+        f"{packages}, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}. "
         f"Load average at the start {before:.1f}, at the end {os.getloadavg()[0]:.1f}. Other work on the machine slows "
-        "everything down, though", "not everything alike.", ""]
+        "everything down, though not everything alike."]
     yield from tables(found, samples, peers)
-    yield from ["", "Asked, and measured in this run:", ""]
+    yield "Asked, and measured in this run:"
     yield from asked(found)
-    yield from ["", COMPARED]
+    yield COMPARED
 
 
-EVIDENCE = (
-    Evidence("Speed of the default fit against CasADi with IPOPT and MuJoCo sysid", "make bench", "bench.md", 15,
-             "30 times CasADi with IPOPT at 2,000 samples, 50 times MuJoCo sysid at 5,000",
-             (r"(faster than CasADi with IPOPT, 2,000 samples) \|[^|]*\| (\S+ times)",
+EVIDENCE = Evidence(
+    "Speed of the default fit against CasADi with IPOPT and MuJoCo sysid", "make bench", "bench.md", 15,
+    "30 times CasADi with IPOPT at 2,000 samples, 50 times MuJoCo sysid at 5,000",
+    (r"(faster than CasADi with IPOPT, 2,000 samples) \|[^|]*\| (\S+ times)",
               r"(faster than MuJoCo sysid at the record's rate, 5,000 samples) \|[^|]*\| (\S+ times)"), r"seed (\d+)",
-             resumes="no: all times are of one load"),)
+    resumes="no: all times are of one load")
 main = program(page)

@@ -2,17 +2,17 @@
 the truth.
 """
 
-from __future__ import annotations
-
 import json
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from evidence.blind.cases import KNEE_LIMIT, PIVOT_LIMIT, RUNS, SAMPLES, Case, DrawnCase, draw_case, physical, strengths
+from evidence.blind.effects import OUTSIDE
 from evidence.blind.excite import SECONDS
 from evidence.blind.leg import Array, Leg, stack
 from evidence.blind.measure import RATE_HZ, coloured, disturb, read, write_rig, write_run
@@ -25,18 +25,12 @@ SHARES = np.array([0.2, 0.35, 0.5, 0.7, 0.9, 1.15])
 
 def _scale(rigs: list[DrawnCase], grid: Array) -> None:
     """Give every case the largest torque that keeps its plain leg within moderate angles."""
-    legs: list[Leg] = []
-    torque: list[Array] = []
-    for rig in rigs:
-        weight = 9.81 * float(rig.leg.beta()[4])
-        for share in SHARES:
-            for run in rig.torques:
-                legs.append(rig.leg)
-                torque.append(run.at(grid, share * weight))
-    motion = integrate(stack(legs), np.array(torque).T, step=5e-3)
-    shape = (len(rigs), SHARES.size, RUNS)
-    knee = np.abs(motion.q2).max(axis=0).reshape(shape).max(axis=2)
-    pivot = np.abs(motion.q1).max(axis=0).reshape(shape).max(axis=2)
+    tried = [(rig.leg, run.at(grid, share * (9.81 * float(rig.leg.beta()[4]))))
+             for rig in rigs for share in SHARES for run in rig.torques]
+    legs, torque = zip(*tried)
+    motion = integrate(stack(list(legs)), np.array(torque).T, step=5e-3)
+    knee, pivot = (np.abs(q).max(axis=0).reshape(len(rigs), SHARES.size, RUNS).max(axis=2)
+                   for q in (motion.q2, motion.q1))
     for rig, k, p in zip(rigs, knee, pivot):
         allowed = (k < KNEE_LIMIT) & (p < PIVOT_LIMIT)
         share = SHARES[np.flatnonzero(allowed)[-1]] if allowed.any() else SHARES[0]
@@ -45,19 +39,17 @@ def _scale(rigs: list[DrawnCase], grid: Array) -> None:
 
 def _acting(rig: DrawnCase, run: int, shown: Array, grid: Array) -> Array:
     """Torque that acts on the knee while the shunt shows `shown`."""
-    drive: dict[str, float] = {}
-    for effect in rig.hidden:
-        drive.update(effect.drive)
+    drive = defaultdict(float, {key: value for effect in rig.hidden for key, value in effect.drive.items()})
     torque = shown
-    if drive.get("delay"):
+    if drive["delay"]:
         torque = rig.torques[run].at(grid + drive["delay"], rig.scale)
-    if drive.get("saturation"):
+    if drive["saturation"]:
         torque = drive["saturation"] * np.tanh(torque / drive["saturation"])
-    if drive.get("dead_band"):
+    if drive["dead_band"]:
         torque = torque - drive["dead_band"] * np.tanh(torque / drive["dead_band"])
-    if drive.get("gain_drift"):
+    if drive["gain_drift"]:
         torque = torque * (1.0 - drive["gain_drift"] * (rig.session[run] + grid) / (rig.session[-1] + SECONDS))
-    return torque + drive.get("offset", 0.0)
+    return torque + drive["offset"]
 
 
 @dataclass
@@ -70,14 +62,13 @@ class _Reference:
     """(13, runs, 4, N)"""
 
 
-@dataclass
-class _Signals:
-    """Torques of every lane, (N,) each: all runs of the first case, then of the next."""
+class _Signals(NamedTuple):
+    """Torques of every lane, (L, N) each: all runs of the first case, then of the next."""
 
-    shown: list[Array]
-    noise: list[Array]
-    process: list[Array]
-    pivot: list[Array]
+    shown: Array
+    noise: Array
+    process: Array
+    pivot: Array
 
 
 def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step: float = 5e-4,
@@ -89,13 +80,10 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
     grid = np.arange(samples) / RATE_HZ
     rigs = [draw_case(case, strengths()) for case in cases]
     _scale(rigs, grid)
-    signals = _Signals([], [], [], [])
-    for rig in rigs:
-        for run in range(RUNS):
-            signals.shown.append(rig.torques[run].at(grid, rig.scale))
-            signals.noise.append(rig.sensors.torque * rig.noise.normal(size=samples))
-            signals.process.append(coloured(rig.noise, samples, rig.sensors.process, rig.sensors.process_time))
-            signals.pivot.append(coloured(rig.noise, samples, rig.sensors.pivot, rig.sensors.process_time))
+    lanes = [(torque.at(grid, rig.scale), rig.sensors.torque * rig.noise.normal(size=samples),
+              *(coloured(rig.noise, samples, rms, rig.sensors.process_time)
+                for rms in (rig.sensors.process, rig.sensors.pivot))) for rig in rigs for torque in rig.torques]
+    signals = _Signals(*np.array(lanes).transpose(1, 0, 2))
     references = _refer(rigs, signals) if with_ratio else []
     if with_ratio:
         _size(rigs, signals, grid, references)
@@ -109,38 +97,27 @@ def generate(cases: Sequence[Case], root: Path, *, with_ratio: bool = True, step
 
 def _truly(rigs: list[DrawnCase], chosen: Sequence[int], signals: _Signals, grid: Array, step: float) -> Motion:
     """Integrate the runs of the chosen cases with what is hidden in them."""
-    legs: list[Leg] = []
-    torque: list[Array] = []
-    pivot: list[Array] = []
-    session: list[float] = []
-    fast: list[int] = []
-    extra: dict[str, list[float]] = {}
-    for i in chosen:
+    lanes = [(i, run) for i in chosen for run in range(RUNS)]
+    source = [i * RUNS + run for i, run in lanes]
+    legs, torque, extra = list[Leg](), list[Array](), dict[str, Array]()
+    for lane, (i, run) in enumerate(lanes):
         rig = rigs[i]
-        plant = {key: value for effect in rig.hidden for key, value in effect.plant.items()}
-        for run in range(RUNS):
-            lane = len(legs)
-            factor = {k: v for h in rig.hidden for k, v in h.leg.items()} if run >= RUNS // 2 else {}
-            legs.append(replace(rig.leg, **{k: getattr(rig.leg, k) * v for k, v in factor.items()}))
-            source = i * RUNS + run
-            torque.append(_acting(rig, run, signals.shown[source], grid) + signals.process[source])
-            pivot.append(signals.pivot[source])
-            session.append(float(rig.session[run]))
-            if any("skew" in h.sense for h in rig.hidden):
-                fast.append(lane)
-            for key, value in plant.items():
-                extra.setdefault(key, [0.0] * (RUNS * len(chosen)))[lane] = value
-    return integrate(stack(legs), np.array(torque).T, pivot=np.array(pivot).T, step=step,
-                     extra={k: np.array(v) for k, v in extra.items()}, session=np.array(session),
-                     fast=np.array(fast, int))
+        factor = {k: v for h in rig.hidden for k, v in h.leg.items()} if run >= RUNS // 2 else {}
+        legs.append(replace(rig.leg, **{k: getattr(rig.leg, k) * v for k, v in factor.items()}))
+        torque.append(_acting(rig, run, signals.shown[source[lane]], grid) + signals.process[source[lane]])
+        for key, value in (one for h in rig.hidden for one in h.plant.items()):
+            extra.setdefault(key, np.zeros(len(lanes)))[lane] = value
+    late = [lane for lane, (i, _) in enumerate(lanes) if any("skew" in h.sense for h in rigs[i].hidden)]
+    return integrate(stack(legs), np.array(torque).T, pivot=signals.pivot[source].T, step=step, extra=extra,
+                     session=np.array([rigs[i].session[run] for i, run in lanes]), fast=np.array(late, int))
 
 
-def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference], rounds: int = 3) -> None:
+def _size(rigs: list[DrawnCase], signals: _Signals, grid: Array, references: list[_Reference]) -> None:
     """Scale single effects to their target ratio: log-log secant steps on sqrt(ratio^2 - 1)."""
     value = {i: rig.strength for i, rig in enumerate(rigs) if len(rig.hidden) == 1}
     last: dict[int, tuple[float, float]] = {}
     open_ = list(value)
-    for _ in range(rounds):
+    for _ in range(3):
         if not open_:
             return
         # a light motor on its shaft needs the finer step
@@ -172,7 +149,7 @@ def _log_excess(ratio: float) -> float:
 def _refer(rigs: list[DrawnCase], signals: _Signals) -> list[_Reference]:
     """The plain reference of each case. Only a ratio hangs on them: a coarser step will do."""
     count = len(rigs) * RUNS
-    shown, noise, process, pivot = (np.array(x) for x in (signals.shown, signals.noise, signals.process, signals.pivot))
+    shown, noise, process, pivot = signals
     legs = [rig.leg for rig in rigs for _ in range(RUNS)]
     motion = integrate(stack(legs * 2), np.concatenate([shown + noise, shown + process]).T,
                        pivot=np.concatenate([np.zeros_like(shown), pivot]).T, step=1e-3)
@@ -200,9 +177,9 @@ def _written(rig: DrawnCase, index: int, motion: Motion, signals: _Signals, meas
     lanes = slice(index * RUNS, (index + 1) * RUNS)
     truth: dict[str, Any] = {
         "name": rig.case.name, "variant": rig.variant, "seed": rig.case.seed, "ratio": ratio,
-        "effects": [{"effect": h.effect, "joint": h.joint, "outside": h.outside,
-                     "size": [asdict(s) for s in h.sizes],
-                     "also": [{"effect": e, "joint": j} for e, j in h.also]} for h in rig.hidden],
+        "effects": [{"effect": name, "joint": h.joint, "outside": name in OUTSIDE,
+                     "size": [asdict(s) for s in h.sizes], "also": [{"effect": e, "joint": j} for e, j in h.also]}
+                    for name, h in zip(rig.case.effects, rig.hidden)],
         "parameters": dict(zip([f"beta{k}" for k in range(1, 10)], map(float, rig.leg.beta()))),
         "sensors": asdict(rig.sensors),
         "largest": {f"q{j}_rad": float(np.abs(q[:, lanes]).max()) for j, q in ((1, motion.q1), (2, motion.q2))}}
@@ -211,5 +188,5 @@ def _written(rig: DrawnCase, index: int, motion: Motion, signals: _Signals, meas
     write_rig(folder / "rig.toml", rig.sensors)
     for run, (columns, noise) in enumerate(zip(measured, signals.noise[lanes]), 1):
         write_run(folder / f"r{run}.csv", disturb(columns, noise, rig.sensors, rig.noise))
-    (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
+    (root / f"{rig.case.name}.truth.json").write_text(json.dumps(truth, indent=1))
     return truth

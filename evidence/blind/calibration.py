@@ -1,7 +1,5 @@
 """The calibration of stated probabilities: coefficients by all answers, and what it is worth on families left out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,14 +1,14 @@
 """The catalogue of the blind bench: cases, and what a seed makes of one."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from evidence.blind.effects import INSIDE, LARGEST, MAKERS, NEEDS, SMALLEST, Hidden
 from evidence.blind.excite import PATTERN, SECONDS, Torque, draw
@@ -27,8 +27,7 @@ APART = ({"joint_elasticity", "backlash"}, {"stribeck_friction", "presliding_fri
          {"asymmetric_friction", "torque_offset"})
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What is hidden, how strongly, and the seed of everything else."""
 
     kind: str
@@ -54,7 +53,7 @@ class DrawnCase:
     sensors: Sensors
     torques: list[Torque]
     hidden: list[Hidden]
-    noise: np.random.Generator
+    noise: Generator
     session: Array
     strength: float
     """Of the last effect; what is scaled when it is the only one."""
@@ -70,7 +69,7 @@ def strengths() -> dict[str, float]:
     return found
 
 
-def draw_leg(rng: np.random.Generator) -> Leg:
+def draw_leg(rng: Generator) -> Leg:
     """A leg of a plausible size."""
     nominal = Leg()
     factor = rng.uniform(0.8, 1.25, len(fields(Leg)))
@@ -81,16 +80,16 @@ def draw_case(case: Case, table: dict[str, float], strength: float | None = None
     parts = (case.kind, "+".join(case.effects), case.level)
     key = [zlib.crc32(part.encode()) for part in parts]
     streams = np.random.SeedSequence([*key, case.seed]).spawn(4)
-    plan, hide, sensor, noise = (np.random.default_rng(s) for s in streams)
+    plan, hide, sensor, noise = (default_rng(s) for s in streams)
     variant = VARIANTS[case.seed % len(VARIANTS)] if case.kind == "none" else "plain"
-    sensors = Sensors(process=float(sensor.uniform(0.005, 0.015)), process_time=float(sensor.uniform(0.05, 0.4)))
+    sensors = Sensors(process=sensor.uniform(0.005, 0.015), process_time=sensor.uniform(0.05, 0.4))
     if variant == "coarse":
         sensors = replace(sensors, bits=11)
     elif variant == "coloured":
         sensors = replace(sensors, process=0.02, process_time=0.3, pivot=0.003)
     elif variant == "quiet":
         sensors = replace(sensors, process=0.0)
-    hidden, size, target = [], 0.0, float(hide.uniform(*TARGETS[case.level]))
+    hidden, size, target = [], 0.0, hide.uniform(*TARGETS[case.level])
     for name in case.effects:
         size = physical(name, table[name] * np.sqrt((target**2 - 1.0) / (TABLE_RATIO**2 - 1.0)))
         size = size if strength is None else strength
@@ -110,7 +109,7 @@ def physical(name: str, strength: float) -> float:
 
 def draw_pair(seed: int) -> tuple[str, str]:
     """Two effects that do not cancel each other's meaning."""
-    rng = np.random.default_rng([7, seed])
+    rng = default_rng([7, seed])
     while True:
         first, second = (str(n) for n in rng.choice(INSIDE, 2, replace=False))
         if {first, second} not in APART:

@@ -4,8 +4,6 @@ Every family of legs in one plan in random order. What is done when the minutes 
 Called again it goes on where it stopped; after a change of the program it begins anew.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import time
@@ -15,8 +13,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from estimator.diagnosis.decision_rule import MATERIAL
-from estimator.parallel import cores, worker_pool
+from estimator import cores, worker_pool
+from estimator.diagnosis import MATERIAL
 from evidence.blind.page import COLUMNS, answer_file, read, tables
 from evidence.blind.plan import FAMILIES, RECORDS, PlannedCase, choose, here, one_round, plan
 from evidence.blind.run import diagnose, failed, keep, parse_seeds
@@ -104,17 +102,17 @@ def page(minutes: float = 60.0, seed: int = 2000, families: Sequence[str] = tupl
 
 def written(cases: Sequence[PlannedCase], folder: Path, count: str, families: Sequence[str], at_once: int
             ) -> Iterator[str]:
-    """The page, line by line; `count` says of how large a plan the cases are."""
+    """The page, block by block; `count` says of how large a plan the cases are."""
     found, simulated = [case.seed for case in cases], [name for name in families if name != RECORDS]
-    yield from ["# Causes that `legid diagnose` names" if simulated else "# Faults put into real records", "",
-                f"Seeds {min(found)} to {max(found)}: {count}.", ""]
+    yield from ["# Causes that `legid diagnose` names" if simulated else "# Faults put into real records",
+                f"Seeds {min(found)} to {max(found)}: {count}."]
     if simulated:
-        yield from ["Simulators that share no code with legid made the legs. Each has eight runs of 20 s.", "",
-                    *(f"- {name}: {FAMILIES[name].legs}" for name in families), ""]
+        yield from ["Simulators that share no code with legid made the legs. Each has eight runs of 20 s.",
+                    *(f"- {name}: {FAMILIES[name].legs}" for name in families)]
     if not REAL.is_dir():
-        yield from ["The family of real records is left out: ../shared/realdata is not next to the checkout.", ""]
-    yield from ["Errors are rms errors of free runs over the noise floor, as the diagnosis states them. Intervals are "
-                "Wilson's, 95 %. " + (LEGS if simulated else FAULTS), ""]
+        yield "The family of real records is left out: ../shared/realdata is not next to the checkout."
+    yield ("Errors are rms errors of free runs over the noise floor, as the diagnosis states them. Intervals are "
+           f"Wilson's, 95 %. {LEGS if simulated else FAULTS}")
     yield from tables(read(cases, folder), at_once)
 
 

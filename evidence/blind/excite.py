@@ -1,7 +1,5 @@
 """Knee torque for the bench's runs: odd random-phase multisines, and slow ramps with holds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +23,7 @@ class Torque:
 
     def at(self, time: Array, scale: float = 1.0) -> Array:
         wave = np.sin(np.multiply.outer(time, self.rate) + self.phase).sum(axis=-1)
-        return np.asarray(scale * (self.amplitude * wave + np.interp(time, self.knot_time, self.knot_level)))
+        return scale * (self.amplitude * wave + np.interp(time, self.knot_time, self.knot_level))
 
 
 def draw(rng: np.random.Generator, kind: str) -> Torque:

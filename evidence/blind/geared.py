@@ -7,20 +7,30 @@ ordinary strength may be added, of the library or not. Semi-implicit Euler at 40
 IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
-from evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, is_made, reference, truth_of, write_case
-from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
+from evidence.blind.servo import (
+    GEAR,
+    RATE_HZ,
+    RIG,
+    RUNS,
+    SECONDS,
+    Readings,
+    draw,
+    of_case,
+    off_centre,
+    reference,
+    truth_of,
+    turned,
+    write_case,
+)
+from tests.support.mujoco_leg import GRAVITY, Leg
 
 TICK_S, INNER = 1e-3, 40
-RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 SHUNT_NM = 16.0 / 4096
 """Resolution of the shunt [N m]."""
 ROTOR = 3e-4
@@ -32,42 +42,43 @@ SMALL = {"gyro_bias": 1e-3, "gyro_scale": 2e-3, "accel_bias": 0.01, "tilt": 1.5e
 """Standard deviations of what a calibrated rig keeps [SI]."""
 
 
-@dataclass
-class Hidden:
-    """One effect beside the small ones: strengths of laws, and of faults in what is logged."""
+OF_ORDINARY_STRENGTH = {
+    "none_wandering": ("wander", 0.012),
+    "joint_stiffness": ("spring", 0.35),
+    "quadratic_drag": ("drag", 0.03),
+    "asymmetric_friction": ("asymmetry", 0.08),
+    "torque_ripple": ("ripple", 0.08),
+    "stribeck_friction": ("stribeck", 0.15),
+    "load_dependent_friction": ("load", 0.12),
+    "torque_saturation": ("saturation", 0.4),
+    "torque_offset": ("torque_offset", 0.06),
+    "torque_delay": ("delay", 6e-3),
+    "sensor_time_skew": ("skew", 4e-3),
+    "gyro_bias": ("gyro_bias", 0.03),
+    "gyro_scale": ("gyro_scale", 0.03),
+    "accelerometer_bias": ("accel_bias", 0.25),
+    "imu_misalignment": ("tilt", 0.03),
+    "encoder_offset": ("encoder_offset", 0.03),
+    "encoder_eccentricity": ("eccentricity", 0.04),
+    # no effect of the library does these
+    "outside_cubic_spring": ("cubic", 0.5),
+    "outside_patchy_friction": ("patchy", 0.12),
+    "outside_magnet": ("magnet", 0.2),
+    "outside_cable_hysteresis": ("boucwen", 0.06),
+    "outside_swinging_mass": ("slosh", 0.05),
+    "outside_torque_squared": ("copper", 0.06),
+    "outside_gyro_curvature": ("gyro_cubic", 0.004)}
+"""Hidden effect -> the law, or the fault in what is logged, that is beside the small ones, and its strength."""
+Hidden = Mapping[str, float]
+"""Strength of each law and fault of one effect."""
 
-    laws: dict[str, float] = field(default_factory=dict)
-    faults: dict[str, float] = field(default_factory=dict)
+
+def _maker(key: str, size: float) -> Callable[[float], Hidden]:
+    return lambda s: {key: size * s}
 
 
 MAKERS: dict[str, Callable[[float], Hidden]] = {
-    "none": lambda s: Hidden(),
-    "none_wandering": lambda s: Hidden({"wander": 0.012 * s}),
-    "joint_stiffness": lambda s: Hidden({"spring": 0.35 * s}),
-    "quadratic_drag": lambda s: Hidden({"drag": 0.03 * s}),
-    "asymmetric_friction": lambda s: Hidden({"asymmetry": 0.08 * s}),
-    "torque_ripple": lambda s: Hidden({"ripple": 0.08 * s}),
-    "stribeck_friction": lambda s: Hidden({"stribeck": 0.15 * s}),
-    "load_dependent_friction": lambda s: Hidden({"load": 0.12 * s}),
-    "torque_saturation": lambda s: Hidden({"saturation": 0.4 * s}),
-    "torque_offset": lambda s: Hidden(faults={"torque_offset": 0.06 * s}),
-    "torque_delay": lambda s: Hidden(faults={"delay": 6e-3 * s}),
-    "sensor_time_skew": lambda s: Hidden(faults={"skew": 4e-3 * s}),
-    "gyro_bias": lambda s: Hidden(faults={"gyro_bias": 0.03 * s}),
-    "gyro_scale": lambda s: Hidden(faults={"gyro_scale": 0.03 * s}),
-    "accelerometer_bias": lambda s: Hidden(faults={"accel_bias": 0.25 * s}),
-    "imu_misalignment": lambda s: Hidden(faults={"tilt": 0.03 * s}),
-    "encoder_offset": lambda s: Hidden(faults={"encoder_offset": 0.03 * s}),
-    "encoder_eccentricity": lambda s: Hidden(faults={"eccentricity": 0.04 * s}),
-    # no effect of the library does these
-    "outside_cubic_spring": lambda s: Hidden({"cubic": 0.5 * s}),
-    "outside_patchy_friction": lambda s: Hidden({"patchy": 0.12 * s}),
-    "outside_magnet": lambda s: Hidden({"magnet": 0.2 * s}),
-    "outside_cable_hysteresis": lambda s: Hidden({"boucwen": 0.06 * s}),
-    "outside_swinging_mass": lambda s: Hidden({"slosh": 0.05 * s}),
-    "outside_torque_squared": lambda s: Hidden({"copper": 0.06 * s}),
-    "outside_gyro_curvature": lambda s: Hidden(faults={"gyro_cubic": 0.004 * s}),
-}
+    "none": lambda s: {}, **{name: _maker(*one) for name, one in OF_ORDINARY_STRENGTH.items()}}
 
 
 @njit(cache=True)
@@ -87,9 +98,7 @@ def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyp
     b1, b2, b3, b4, b5 = beta
     h = 1e-3 / 40
     q1 = q2 = qm = v1 = v2 = vm = z1 = z2 = i = shunt = 0.0
-    fg = fx = fy = w = 0.0
-    cable, s, sd = 0.0, 0.0, 0.0
-    u = 0.0
+    fg = fx = fy = w = cable = s = sd = u = 0.0
     out = np.empty((wanted.size, 6))
     gear_damping = 0.6 * np.sqrt(stiffness * rotor)
     for k in range(wanted.size):
@@ -144,52 +153,48 @@ def _move(wanted, rate, beta, leg, law, phases, noise):  # type: ignore[no-untyp
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
+    """As `servo.make_case`."""
+    rng = of_case(name, seed, 11)
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
     leg, dry, runs = record([hidden] * RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
 
 
-def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:
+def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[Readings]]:
     """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `hidden`."""
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
+    leg, dry = draw(rng)
     drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, ROTOR,
                       rng.uniform(0.003, 0.008), rng.uniform(0.01, 0.02)])
     small = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     time = np.arange(round(SECONDS / TICK_S)) * TICK_S
 
-    def logged(run: int, one: Hidden) -> dict[str, np.ndarray]:
+    def logged(run: int, one: Hidden) -> Readings:
         wanted, rate = reference(rng, time, run)
-        law = np.array([one.laws.get(k, 0.0) for k in LAWS])
+        law = np.array([one.get(k, 0.0) for k in LAWS])
         rows = _move(wanted, rate, leg.beta()[:5], drive, law, phases, rng.normal(size=time.size))
-        fault = {k: small.get(k, 0.0) + one.faults.get(k, 0.0) for k in {*small, *one.faults}}
+        fault = {k: small.get(k, 0.0) + one.get(k, 0.0) for k in {*small, *one}.difference(LAWS)}
         return as_logged(dict(zip(("q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "tau2_nm"),
                                   rows.T)), time, fault)
 
     return leg, dry, (logged(run, one) for run, one in enumerate(hidden))
 
 
-def as_logged(fine: dict[str, np.ndarray], time: np.ndarray, fault: dict[str, float]) -> dict[str, np.ndarray]:
+def as_logged(fine: Readings, time: np.ndarray, fault: dict[str, float]) -> Readings:
     """Readings at 100 Hz with what a calibrated rig keeps of its `fault`s. The driver knows the lag of the IMU's filter
     (2 ms) and that of the shunt's (0.5 ms), and corrects for both."""
     every = round(1.0 / (RATE_HZ * TICK_S))
     grid = time[every:-every:every]
     imu = 2e-3 - TICK_S - fault.get("skew", 0.0)
-    late = {"gyro_radps": imu, "accel_x_mps2": imu, "accel_y_mps2": imu,
-            "tau2_nm": 5e-4 - TICK_S - fault.get("delay", 0.0), "q2_rad": -TICK_S, "q1_rad": -TICK_S}
-    c = {name: np.interp(grid + late[name], time, values) for name, values in fine.items()}
+    late = {"q1_rad": -TICK_S, "q2_rad": -TICK_S, "tau2_nm": 5e-4 - TICK_S - fault.get("delay", 0.0)}
+    c = {name: np.interp(grid + late.get(name, imu), time, values) for name, values in fine.items()}
     c["tau2_nm"] = np.round((c["tau2_nm"] + fault["torque_offset"]) / SHUNT_NM) * SHUNT_NM
     w = c["gyro_radps"]
     c["gyro_radps"] = w * (1.0 + fault["gyro_scale"]) + fault["gyro_bias"] + fault.get("gyro_cubic", 0.0) * w**3
-    x, y, a = c["accel_x_mps2"] + fault["accel_bias"], c["accel_y_mps2"], fault["tilt"]
-    c["accel_x_mps2"], c["accel_y_mps2"] = np.cos(a) * x - np.sin(a) * y, np.sin(a) * x + np.cos(a) * y
-    q, depth = c["q2_rad"], fault["eccentricity"]
-    c["q2_rad"] = (q + fault["encoder_offset"]
-                   + np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7)))
+    c["accel_x_mps2"] += fault["accel_bias"]
+    turned(fault["tilt"])(c)
+    q = c["q2_rad"]
+    c["q2_rad"] = q + fault["encoder_offset"] + off_centre(q, fault["eccentricity"])
     return {"time_s": grid - grid[0], **c}
 
 

@@ -1,7 +1,5 @@
 """A leg's physical parameters, the coefficients of what may be wrong with it, and the layout of its state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -28,7 +26,7 @@ class Leg:
     coulomb1: Array | float = 0.03
     coulomb2: Array | float = 0.05
 
-    def lanes(self, count: int) -> Leg:
+    def lanes(self, count: int) -> "Leg":
         """The same leg with every field an array of `count` lanes."""
         return Leg(**{f.name: np.broadcast_to(np.asarray(getattr(self, f.name), float), (count,)).copy()
                       for f in fields(self)})
@@ -48,11 +46,11 @@ def stack(legs: list[Leg]) -> Leg:
 
 # Coefficients a lane may carry, zero when absent. Numbers at the end of a name are the joint.
 COEFFICIENTS = (
-    "stribeck1", "stribeck_velocity1", "stribeck2", "stribeck_velocity2",  # N m, rad/s
-    "asymmetry1", "asymmetry2",  # N m more in the positive direction
+    "stribeck2", "stribeck_velocity2",  # N m, rad/s
+    "asymmetry2",  # N m more in the positive direction
     "asymmetric_drag2",  # N m s/rad more in the positive direction
     "load2",  # N m of dry friction per N m transmitted
-    "bristle1", "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
+    "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
     "drag1", "drag2",  # N m s^2/rad^2
     "spring1", "spring2", "spring_rest1", "spring_rest2",  # N m/rad, rad
     "rotor", "gear",  # kg m^2 at the joint; ratio
@@ -74,7 +72,6 @@ class Rows:
     """Where each state sits in the state array."""
 
     motor: int = 0
-    bristle1: int = 0
     bristle2: int = 0
     base: int = 0
     slosh: int = 0
@@ -82,9 +79,9 @@ class Rows:
     count: int = 4
 
     @classmethod
-    def plan(cls, c: Mapping[str, Array]) -> Rows:
+    def plan(cls, c: Mapping[str, Array]) -> "Rows":
         rows = cls()
-        for name, key, width in (("motor", "shaft", 2), ("bristle1", "bristle1", 1), ("bristle2", "bristle2", 1),
+        for name, key, width in (("motor", "shaft", 2), ("bristle2", "bristle2", 1),
                                  ("base", "base_mass", 2), ("slosh", "slosh", 2), ("cable", "cable", 1)):
             if c[key].any():
                 setattr(rows, name, rows.count)

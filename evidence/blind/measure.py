@@ -1,7 +1,6 @@
 """From true motion to what a rig records: the IMU, the knee encoder, the shunt, and their faults."""
 
-from __future__ import annotations
-
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,12 +37,12 @@ class Sensors:
         return float(2.0 * np.pi / 2**self.bits)
 
 
-def coloured(rng: np.random.Generator, count: int, rms: float, time: float, dt: float = 1.0 / RATE_HZ) -> Array:
+def coloured(rng: np.random.Generator, count: int, rms: float, time: float) -> Array:
     """AR(1) sequence of the given rms and correlation time, (count,)."""
-    pole = np.exp(-dt / time)
+    pole = np.exp(-1.0 / RATE_HZ / time)
     white = rng.normal(size=count) * rms * np.sqrt(1.0 - pole**2)
     white[0] = rng.normal() * rms
-    return np.asarray(lfilter([1.0], [1.0, -pole], white))
+    return lfilter([1.0], [1.0, -pole], white)
 
 
 def imu(q1: Array, w1: Array, a1: Array, base: Array, tilt: Array, lever: float) -> tuple[Array, Array, Array]:
@@ -56,36 +55,30 @@ def imu(q1: Array, w1: Array, a1: Array, base: Array, tilt: Array, lever: float)
 
 def read(motion: Motion, lane: int, torque: Array, faults: Mapping[str, float], sensors: Sensors) -> dict[str, Array]:
     """Columns of one lane with its faults, before noise and quantiser. `torque` is what the shunt shows."""
-    n = torque.size
-    time = np.arange(n) / RATE_HZ
-    lever = sensors.lever + faults.get("lever", 0.0)
-    tilt = motion.tilt[:, lane]
-    state = [motion.q1[:, lane], motion.w1[:, lane], motion.a1[:, lane], motion.base_acceleration[:, lane], tilt]
-    skew = faults.get("skew", 0.0)
-    if skew:
+    time, fault = np.arange(torque.size) / RATE_HZ, defaultdict(float, faults)
+    state = [of[:, lane] for of in (motion.q1, motion.w1, motion.a1, motion.base_acceleration, motion.tilt)]
+    if fault["skew"]:
         slot = int(np.flatnonzero(motion.fast_lanes == lane)[0])
-        state = [np.interp(time - skew, motion.fast_time, motion.fast[:, i, slot]) for i in range(5)]
-    gyro, ax, ay = imu(state[0], state[1], state[2], state[3], state[4], lever)
-    angle = faults.get("misalignment", 0.0)
+        state = [np.interp(time - fault["skew"], motion.fast_time, motion.fast[:, i, slot]) for i in range(5)]
+    q1, w1, a1, base, tilt = state
+    gyro, ax, ay = imu(q1, w1, a1, base, tilt, sensors.lever + fault["lever"])
+    angle = fault["misalignment"]
     if angle:
         ax, ay = np.cos(angle) * ax + np.sin(angle) * ay, np.cos(angle) * ay - np.sin(angle) * ax
-    ax = ax + faults.get("accel_bias_x", 0.0)
-    ay = ay + faults.get("accel_bias_y", 0.0)
-    gyro = (gyro * (1.0 + faults.get("gyro_scale", 0.0)) + faults.get("gyro_bias", 0.0)
-            + faults.get("gyro_cubic", 0.0) * gyro**3 + faults.get("gyro_g", 0.0) * ax
-            + faults.get("gyro_torque", 0.0) * torque)
+    ax = ax + fault["accel_bias_x"]
+    ay = ay + fault["accel_bias_y"]
+    gyro = (gyro * (1.0 + fault["gyro_scale"]) + fault["gyro_bias"] + fault["gyro_cubic"] * gyro**3
+            + fault["gyro_g"] * ax + fault["gyro_torque"] * torque)
     knee = motion.encoder[:, lane]
-    q2 = knee * (1.0 + faults.get("encoder_scale", 0.0)) + faults.get("encoder_offset", 0.0)
-    amplitude = faults.get("eccentricity", 0.0)
+    q2 = knee * (1.0 + fault["encoder_scale"]) + fault["encoder_offset"]
+    amplitude = fault["eccentricity"]
     if amplitude:
-        turn = knee + faults["eccentricity_phase"]
+        turn = knee + fault["eccentricity_phase"]
         # a disc off centre by `amplitude` radii, read by one head: exact, not its first harmonic
         q2 = q2 + np.arctan2(amplitude * np.sin(turn), 1.0 + amplitude * np.cos(turn))
-    if faults.get("interpolation", 0.0):
-        order = faults["interpolation_order"]
-        q2 = q2 + faults["interpolation"] * np.sin(order * knee + faults["interpolation_phase"])
-    return {"time_s": time, "q2_rad": q2, "tau2_nm": torque, "gyro_radps": gyro, "accel_x_mps2": ax,
-            "accel_y_mps2": ay}
+    if fault["interpolation"]:
+        q2 = q2 + fault["interpolation"] * np.sin(fault["interpolation_order"] * knee + fault["interpolation_phase"])
+    return dict(zip(COLUMNS, (time, q2, torque, gyro, ax, ay)))
 
 
 def disturb(columns: Mapping[str, Array], torque_noise: Array, sensors: Sensors,

@@ -1,17 +1,17 @@
 """The page of `make evidence`: each class of cases by family, against targets; sizes, times, and what is not right."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.decision_rule import EDGE, MATERIAL
+from estimator.diagnosis import MATERIAL
+from estimator.diagnosis.decision_rule import EDGE
 from evidence.blind import records
 from evidence.blind.calibration import Stated, fit, left_out
 from evidence.blind.plan import FAMILIES, PlannedCase
@@ -24,8 +24,7 @@ RATIOS = (-np.inf, EDGE, 2.0, 5.0, np.inf)
 OUTSIDE = ("outside", "deleted")
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What `legid diagnose` says of one case."""
 
     case: PlannedCase
@@ -140,28 +139,28 @@ def of(kinds: Sequence[str], hit: Callable[[Answer], bool], among: Callable[[Ans
     return lambda a: hit(a) if a.kind in kinds and among(a) else None
 
 
-def _material(answer: Answer) -> bool:
-    return answer.material
+_material, _exact, _inside, _wrong = map(attrgetter, (
+    "material", "outcome.exact", "outcome.inside", "outcome.wrong_name"))
+
+
+def _none(answer: Answer) -> bool:
+    return answer.outcome.verdict == "none"
 
 
 COLUMNS = (
-    Column("healthy: no alarm", of(["none"], lambda a: a.outcome.verdict == "none"), 0.98),
-    Column("material singles: named exactly", of(["single"], lambda a: a.outcome.exact, _material), 0.85),
-    Column("truth in the answer", of(["single"], lambda a: a.outcome.inside, _material), 0.95),
-    Column("wrong name", of(["single"], lambda a: a.outcome.wrong_name, _material), 0.02, at_most=True),
-    Column("`none`", of(["single"], lambda a: a.outcome.verdict == "none", _material)),
-    Column("pairs: both named", of(["pair"], lambda a: a.outcome.exact), 0.75),
+    Column("healthy: no alarm", of(["none"], _none), 0.98),
+    Column("material singles: named exactly", of(["single"], _exact, _material), 0.85),
+    Column("truth in the answer", of(["single"], _inside, _material), 0.95),
+    Column("wrong name", of(["single"], _wrong, _material), 0.02, at_most=True),
+    Column("`none`", of(["single"], _none, _material)),
+    Column("pairs: both named", of(["pair"], _exact), 0.75),
     Column("pairs: one named, the other listed as present, or both named", of(["pair"], lambda a: a.tells_both)),
     Column("outside: `unexplained` or `partial`, no wrong name", of(OUTSIDE, lambda a: a.outside_right), 0.85),
-    Column("outside: wrong name", of(OUTSIDE, lambda a: a.outcome.wrong_name)),
-    Column(f"outside above {EDGE:g} floors: `none`",
-           of(OUTSIDE, lambda a: a.outcome.verdict == "none", lambda a: a.above_edge), 0.0, at_most=True))
-BY_RATIO = (("singles: named exactly", of(["single"], lambda a: a.outcome.exact)),
-            ("truth in the answer", of(["single"], lambda a: a.outcome.inside)),
-            ("wrong name", of(["single"], lambda a: a.outcome.wrong_name)),
-            ("`none`", of(["single"], lambda a: a.outcome.verdict == "none")),
-            ("outside: right", of(OUTSIDE, lambda a: a.outside_right)),
-            ("outside: `none`", of(OUTSIDE, lambda a: a.outcome.verdict == "none")))
+    Column("outside: wrong name", of(OUTSIDE, _wrong)),
+    Column(f"outside above {EDGE:g} floors: `none`", of(OUTSIDE, _none, lambda a: a.above_edge), 0.0, at_most=True))
+BY_RATIO = {"singles: named exactly": of(["single"], _exact), "truth in the answer": of(["single"], _inside),
+            "wrong name": of(["single"], _wrong), "`none`": of(["single"], _none),
+            "outside: right": of(OUTSIDE, lambda a: a.outside_right), "outside: `none`": of(OUTSIDE, _none)}
 
 
 def rate(answers: Iterable[Answer], count: Count) -> Rate:
@@ -180,9 +179,9 @@ def read(cases: Iterable[PlannedCase], folder: Path) -> list[Answer]:
     """The answers that are kept below `folder`; a case that could not be made has the truth of its name."""
     found = []
     for case in cases:
-        document = json.loads(answer_file(case, folder).read_text(encoding="utf-8"))
+        document = json.loads(answer_file(case, folder).read_text())
         file = folder / case.family / "cases" / f"{case.name}.truth.json"
-        truth = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {
+        truth = json.loads(file.read_text()) if file.exists() else {
             "name": case.name, "effects": [{"effect": e, "joint": None, "sizes": {}, "also": []} for e in case.effects]}
         found.append(Answer(case, Outcome(truth, document["verdict"], tuple(document.get("causes", ()))), document))
     return found
@@ -193,7 +192,7 @@ def answer_file(case: PlannedCase, folder: Path) -> Path:
 
 
 def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
-    """The page's tables, line by line."""
+    """The page's tables and what is said of them."""
     legs = [a for a in answers if a.kind != "record"]
     real = [a for a in answers if a.kind == "record"]
     if legs:
@@ -203,8 +202,8 @@ def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
         yield from _sizes_and_times(legs, at_once)
         yield from _not_right(legs)
     if real:
-        yield from ["## Real records with a fault put in", "",
-                    "Found: the fault is named or in the set, and was not before, or grew by what was put in.", "",
+        yield from ["## Real records with a fault put in",
+                    "Found: the fault is named or in the set, and was not before, or grew by what was put in.",
                     *records.compare([a.outcome for a in real], {a.case.name: a.document for a in real})]
 
 
@@ -222,16 +221,16 @@ def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
         cells = ((column, rate(own, column.count)) for column in COLUMNS)
         rows.append((family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)))
     rows.append(("target", *(column.judge(rate(answers, column.count)) for column in COLUMNS)))
-    yield from ["## By family", "", "Bold: misses the target.", ""]
-    yield from table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
-    single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
-    pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))
+    yield from ["## By family", "Bold: misses the target."]
+    yield table(" | ".join(["family", *(column.title for column in COLUMNS)]), rows)
+    single = rate(answers, of(["single"], _wrong, lambda a: not a.material))
+    pair = rate(answers, of(["pair"], _wrong))
     listed = [a.outcome.true_cause(c) for a in answers if a.kind in ("single", "pair") and a.outcome.verdict in NAMES
               for c in a.listed]
-    yield from [f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
-                f"{pair.hits} of {pair.count}. Of {len(listed)} effects listed as present together with a name "
-                f"{sum(listed)} were put in; several families have small faults of their own. Cases without an "
-                f"answer: {sum(bool(a.document['bench']['crashed']) for a in answers)}. They count as misses.", ""]
+    yield (f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
+           f"{pair.hits} of {pair.count}. Of {len(listed)} effects listed as present together with a name "
+           f"{sum(listed)} were put in; several families have small faults of their own. Cases without an "
+           f"answer: {sum(bool(a.document['bench']['crashed']) for a in answers)}. They count as misses.")
 
 
 def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
@@ -239,29 +238,29 @@ def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
               [a for a in answers if a.before is not None and low < a.before <= high] for low, high in pairwise(RATIOS)}
     if unknown := [a for a in answers if a.before is None]:
         groups["not stated"] = unknown
-    yield from ["## By error before, over the floor", ""]
-    yield from table(" | ".join(["ratio", *(title for title, _ in BY_RATIO)]), (
-        (name, *(_cell(rate(own, count)) for _, count in BY_RATIO)) for name, own in groups.items()))
+    yield "## By error before, over the floor"
+    yield table(" | ".join(["ratio", *BY_RATIO]), (
+        (name, *(_cell(rate(own, count)) for count in BY_RATIO.values())) for name, own in groups.items()))
 
 
 def _reliability(answers: Sequence[Answer]) -> Iterator[str]:
     """Share of true answers by stated probability, of causes in the library and outside it; and calibrated anew."""
     stated = [(a, a.probability) for a in answers if a.probability is not None]
     known = [(a, a.in_library) for a in answers if a.in_library is not None]
-    yield from ["## Stated probability and true answers", "",
+    yield from ["## Stated probability and true answers",
                 "An answer is true if its causes are exactly those present. For `partial`, its causes are among those "
                 "present. For `none`, nothing material is. Outside the library only `none` can be true, up to "
-                f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.", "",
-                *_by_probability("stated", stated),
-                "The probability if the library has the true causes:", "", *_by_probability("if in the library", known)]
+                f"{EDGE:g} floors. {len(answers) - len(stated)} of {len(answers)} answers state no probability.",
+                _by_probability("stated", stated),
+                "The probability if the library has the true causes:", _by_probability("if in the library", known)]
     told = [Stated(a.case.family, p, a.true) for a, p in known]
     if len({one.family for one in told}) > 1:
         yield from ["Calibrated anew by these answers, each family by all others (of all: a = {:.3g}, b = {:.3g}, "
-                    "c = {:.3g}):".format(*fit(told)), "",
-                    *_by_probability("calibrated", [(a, p) for (a, _), p in zip(known, left_out(told))])]
+                    "c = {:.3g}):".format(*fit(told)),
+                    _by_probability("calibrated", [(a, p) for (a, _), p in zip(known, left_out(told))])]
 
 
-def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Iterator[str]:
+def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> str:
     rows = []
     for low, high in [*pairwise(PROBABILITIES), (0.0, 1.0)]:
         own = [(a, p) for a, p in stated if low <= p and (p < high or high == 1.0)]
@@ -273,10 +272,10 @@ def _by_probability(title: str, stated: Sequence[tuple[Answer, float]]) -> Itera
 
 
 def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
-    yield from ["## Sizes and time", "",
+    yield from ["## Sizes and time",
                 f"Time of one diagnosis: median, 95th percentile, worst; {at_once} ran at once. The target of wall "
-                "time is for two idle cores.", ""]
-    yield from table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
+                "time is for two idle cores."]
+    yield table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
         *((family, _cell(sizes(own)), _times(own, "wall_s"), _times(own, "cpu_s"))
           for family, own in _families(answers)), "target | 93 to 97 % | 8, 20, 40 | -"])
 
@@ -288,10 +287,10 @@ def _times(answers: Iterable[Answer], key: str) -> str:
 
 def _not_right(answers: Sequence[Answer]) -> Iterator[str]:
     wrong = [a for a in answers if not a.right]
-    yield from ["## Cases that are not right", "",
+    yield from ["## Cases that are not right",
                 f"{len(answers) - len(wrong)} of {len(answers)} are right. Material singles and pairs must be named "
-                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors.", ""]
-    yield from table("family | case | answer | error before | after", (
+                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors."]
+    yield table("family | case | answer | error before | after", (
         (a.case.family, a.case.name, _said(a), *(
             "-" if value is None else f"{value:.2f}"
             for value in (a.before, (a.document.get("error") or {}).get("after"))))

@@ -4,22 +4,22 @@ A lane is one run of one case. The plain leg is Lagrange's equation in the relat
 written from masses, lengths and inertias (Spong, Robot Modeling and Control, section 7.3, two-link arm with
 angles counted from the downward vertical). Smooth forces go through classical RK4. Dry friction is a set-valued
 force: its impulse over a step is the solution of a two-contact box problem (Moreau time stepping), so that a
-joint really sticks; `creep` rounds the law off over that velocity.
+joint really sticks, its law rounded off over a small velocity.
 
 Extra states exist only when a lane asks for them: motor side (elasticity, backlash), LuGre bristles, a base on a
 spring, a sloshing inertia, a hysteretic cable. Coefficients of a lane that does not have the effect are zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evidence.blind.friction import DryFriction
 from evidence.blind.leg import COEFFICIENTS, GRAVITY, Array, Leg, Rows
+
+SAMPLE_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,15 @@ class Motion:
     fast: Array
     """(q1, w1, a1, base, tilt) of the fast lanes at every step, (T, 5, F)."""
 
-    def pick(self, lanes: NDArray[np.intp]) -> Motion:
+    def pick(self, lanes: NDArray[np.intp]) -> "Motion":
         """Motion of some lanes, without the fast record."""
-        names = ("q1", "q2", "w1", "w2", "a1", "a2", "base_acceleration", "tilt", "encoder")
-        return replace(self, **{name: getattr(self, name)[:, lanes] for name in names},
+        return replace(self, **{f.name: getattr(self, f.name)[:, lanes] for f in fields(self)[:9]},
                        fast_lanes=self.fast_lanes[:0], fast_time=self.fast_time[:0], fast=self.fast[:0])
 
 
 def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | None = None, pivot: Array | None = None,
-              start: Array | None = None, session: Array | None = None, dt: float = 0.01, step: float = 5e-4,
-              creep: float = 1e-3, fast: NDArray[np.intp] | None = None, gravity: float = GRAVITY) -> Motion:
+              start: Array | None = None, session: Array | None = None, step: float = 5e-4,
+              fast: NDArray[np.intp] | None = None) -> Motion:
     """Integrate all lanes over the sample grid.
 
     `torque`, `pivot`: (N, L) torque that acts on knee and pivot at the samples [N m], linear in between.
@@ -67,47 +66,40 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
         if name not in c:
             raise KeyError(name)
         c[name] = np.broadcast_to(np.asarray(value, float), (lanes,)).copy()
-    substeps = round(dt / step)
-    h = dt / substeps
+    substeps = round(SAMPLE_S / step)
+    h = SAMPLE_S / substeps
     rows = Rows.plan(c)
-    field = Field(leg, c, rows, gravity)
+    field = Field(leg, c, rows)
     y = np.zeros((rows.count, lanes))
     if start is not None:
         y[:4] = start
         if rows.motor:
             y[rows.motor], y[rows.motor + 1] = start[1], start[3]
-    slope = np.diff(torque, axis=0, append=torque[-1:]) / substeps
-    pivot_slope = None if pivot is None else np.diff(pivot, axis=0, append=pivot[-1:]) / substeps
+    pivot = np.zeros_like(torque) if pivot is None else pivot
+    slope, pivot_slope = (np.diff(x, axis=0, append=x[-1:]) / substeps for x in (torque, pivot))
     begin = np.zeros(lanes) if session is None else np.asarray(session, float)
-    friction = DryFriction(leg, c, rows, h, creep, begin)
+    friction = DryFriction(leg, c, rows, h, begin)
     fast = np.zeros(0, np.intp) if fast is None else np.asarray(fast)
     out = np.empty((9, count, lanes))
     trace = np.empty((count * substeps, 5, fast.size))
     f = np.zeros((2, lanes))
-    zero = np.zeros(lanes)
     t = 0.0
     for k in range(count):
         for i in range(substeps):
             u0 = torque[k] + slope[k] * i
             u2 = u0 + slope[k]
             um = u0 + 0.5 * slope[k]
-            if pivot is None or pivot_slope is None:
-                p0 = pm = p2 = zero
-            else:
-                p0 = pivot[k] + pivot_slope[k] * i
-                p2 = p0 + pivot_slope[k]
-                pm = p0 + 0.5 * pivot_slope[k]
+            p0 = pivot[k] + pivot_slope[k] * i
+            p2 = p0 + pivot_slope[k]
+            pm = p0 + 0.5 * pivot_slope[k]
             k1 = field(y, t, u0, p0, f)
             if i == 0:
                 out[:4, k] = y[:4]
                 out[4:6, k] = k1[2:4]
-                out[6, k] = field.base
-                out[7, k] = field.tilt
-                out[8, k] = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
+                knee = np.where(field.two_mass, y[rows.motor], y[1]) if rows.motor else y[1]
+                out[6:, k] = field.base, field.tilt, knee
             if fast.size:
-                row = trace[k * substeps + i]
-                row[0], row[1], row[2] = y[0, fast], y[2, fast], k1[2, fast]
-                row[3], row[4] = field.base[fast], field.tilt[fast]
+                trace[k * substeps + i] = y[0, fast], y[2, fast], k1[2, fast], field.base[fast], field.tilt[fast]
             k2 = field(y + (0.5 * h) * k1, t + 0.5 * h, um, pm, f)
             k3 = field(y + (0.5 * h) * k2, t + 0.5 * h, um, pm, f)
             k4 = field(y + h * k3, t + h, u2, p2, f)
@@ -122,17 +114,18 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | N
     return Motion(q1, q2, w1, w2, a1, a2, base, tilt, encoder, fast, np.arange(count * substeps) * h, trace)
 
 
+Force = Callable[[Array], tuple[Array | float, Array | float]]
+"""State -> torques at pivot and knee."""
+
+
 class Field:
     """The smooth part of the equations of motion; keeps the inverse inertia of its last call."""
 
-    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, gravity: float) -> None:
+    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows) -> None:
         self.leg, self.c, self.rows = leg, c, rows
-        self.b1, self.b2, self.b3, b4, b5 = leg.beta()[:5]
-        self.g4, self.g5 = gravity * b4, gravity * b5
-        self.b4, self.b5 = b4, b5
-        lanes = b4.size
-        self.base = np.zeros(lanes)
-        self.tilt = np.zeros(lanes)
+        self.b1, self.b2, self.b3, self.b4, self.b5 = leg.beta()[:5]
+        self.g4, self.g5 = GRAVITY * self.b4, GRAVITY * self.b5
+        self.base, self.tilt = np.zeros((2, self.b4.size))
         self.two_mass = c["shaft"] > 0
         # a geared rotor carried by link 1 turns with q1d + gear*q2d: its energy fills three entries of M
         geared = c["rotor"] > 0
@@ -141,44 +134,32 @@ class Field:
         self.m12 = self.b2 + np.where(geared, c["rotor"] / ratio, 0.0)
         self.m22 = self.b2 + c["rotor"]
         self.on = {name: bool(value.any()) for name, value in c.items()}
-        self.forces: list[Callable[[Array], tuple[Array | float, Array | float]]] = []
-        for name, law in (("drag", self._drag), ("spring", self._spring), ("bristle", self._bristle)):
-            if self.on[name + "1"] or self.on[name + "2"]:
-                self.forces.append(law)
-        for name, law in (("stop_stiffness", self._stop), ("slosh", self._slosh), ("cable", self._cable),
-                          ("cross_damping", self._cross), ("asymmetric_drag2", self._one_way)):
-            if self.on[name]:
-                self.forces.append(law)
+        laws: dict[tuple[str, ...], Force] = {
+            ("drag1", "drag2"): lambda y: (-c["drag1"] * y[2] * np.abs(y[2]), -c["drag2"] * y[3] * np.abs(y[3])),
+            ("spring1", "spring2"): lambda y: (-c["spring1"] * (y[0] - c["spring_rest1"]),
+                                               -c["spring2"] * (y[1] - c["spring_rest2"])),
+            ("bristle2",): self._bristle, ("stop_stiffness",): self._stop, ("slosh",): self._slosh,
+            # Bouc-Wen hysteresis of a cable bundle around the pivot, with the bundle's own stiffness
+            ("cable",): lambda y: (-c["cable"] * (y[rows.cable] + 0.5 * y[0]), 0.0),
+            ("cross_damping",): lambda y: (-c["cross_damping"] * y[3], 0.0),
+            ("asymmetric_drag2",): lambda y: (0.0, -c["asymmetric_drag2"] * np.maximum(y[3], 0.0))}
+        self.forces = [law for names, law in laws.items() if any(self.on[name] for name in names)]
         self.base_lanes = c["base_mass"] > 0
         mass = c["base_mass"] + leg.m1 + leg.m2
         self.base_inverse = np.where(self.base_lanes, 1.0 / mass, 0.0)
-        self.bristle = [self._bristle_law(j) for j in (1, 2)]
+        # LuGre bristles that carry the knee's Coulomb level
+        has = c["bristle2"] > 0
+        deflection = np.where(has, c["bristle2"], 1.0)
+        self.bristle_stiffness = np.where(has, leg.coulomb2 / deflection, 0.0)
+        self.bristle_damping = 0.6 * np.sqrt(self.bristle_stiffness * self.b2 * 0.3)
+        self.bristle_slip = np.where(has, 1.0 / deflection, 0.0)
 
-    def _bristle_law(self, joint: int) -> tuple[Array, Array, Array]:
-        """Stiffness, damping and inverse slip of LuGre bristles that carry the joint's Coulomb level."""
-        deflection = self.c[f"bristle{joint}"]
-        has = deflection > 0
-        level = getattr(self.leg, f"coulomb{joint}")
-        stiffness = np.where(has, level / np.where(has, deflection, 1.0), 0.0)
-        inertia = self.b2 if joint == 2 else self.b1
-        damping = 0.6 * np.sqrt(stiffness * inertia * 0.3)
-        return stiffness, damping, np.where(has, 1.0 / np.where(has, deflection, 1.0), 0.0)
+    def _bristle_rate(self, y: Array) -> Array:
+        return y[3] - np.abs(y[3]) * y[self.rows.bristle2] * self.bristle_slip
 
-    def _drag(self, y: Array) -> tuple[Array, Array]:
-        return -self.c["drag1"] * y[2] * np.abs(y[2]), -self.c["drag2"] * y[3] * np.abs(y[3])
-
-    def _spring(self, y: Array) -> tuple[Array, Array]:
-        c = self.c
-        return -c["spring1"] * (y[0] - c["spring_rest1"]), -c["spring2"] * (y[1] - c["spring_rest2"])
-
-    def _bristle(self, y: Array) -> tuple[Array | float, Array | float]:
+    def _bristle(self, y: Array) -> tuple[float, Array]:
         """LuGre (Canudas de Wit 1995): z' = v - |v| z / z_full, torque = s0 z + s1 z'."""
-        out: list[Array | float] = [0.0, 0.0]
-        for j, row in enumerate((self.rows.bristle1, self.rows.bristle2)):
-            if row:
-                stiffness, damping, slip = self.bristle[j]
-                out[j] = -stiffness * y[row] - damping * (y[2 + j] - np.abs(y[2 + j]) * y[row] * slip)
-        return out[0], out[1]
+        return 0.0, -self.bristle_stiffness * y[self.rows.bristle2] - self.bristle_damping * self._bristle_rate(y)
 
     def _stop(self, y: Array) -> tuple[float, Array]:
         """Hertz-like contact with Hunt-Crossley damping: k d^1.5 (1 + c d')."""
@@ -193,20 +174,10 @@ class Field:
         reaction = self.c["slosh_stiffness"] * y[row] + self.c["slosh_damping"] * y[row + 1]
         return reaction, reaction
 
-    def _cable(self, y: Array) -> tuple[Array, float]:
-        """Bouc-Wen hysteresis of a cable bundle around the pivot, with the bundle's own stiffness."""
-        return -self.c["cable"] * (y[self.rows.cable] + 0.5 * y[0]), 0.0
-
-    def _cross(self, y: Array) -> tuple[Array, float]:
-        return -self.c["cross_damping"] * y[3], 0.0
-
-    def _one_way(self, y: Array) -> tuple[float, Array]:
-        return 0.0, -self.c["asymmetric_drag2"] * np.maximum(y[3], 0.0)
-
     def __call__(self, y: Array, t: float, torque: Array, pivot: Array, f: Array) -> Array:
         """State rates (rows, L); `f` (2, L) are the dry friction torques held over the step."""
         c, rows = self.c, self.rows
-        q1, q2, w1, w2 = y[0], y[1], y[2], y[3]
+        q1, q2, w1, w2 = y[:4]
         up = q1
         if self.on["tilt"]:
             self.tilt = c["tilt"] * (np.sin(c["tilt_rate"] * t + c["tilt_phase"]) - np.sin(c["tilt_phase"]))
@@ -255,20 +226,16 @@ class Field:
             r1 = r1 - u1 * push * inv
             r2 = r2 - c12 * push * inv
         idet = 1.0 / (m11 * m22 - m12 * m12)
-        rates[0] = w1
-        rates[1] = w2
         a1 = (m22 * r1 - m12 * r2) * idet
         a2 = (m11 * r2 - m12 * r1) * idet
-        rates[2] = a1
-        rates[3] = a2
+        rates[:4] = w1, w2, a1, a2
         self.inverse = (m22 * idet, -m12 * idet, m11 * idet)
         if rows.base:
             self.base = (push - u1 * a1 - c12 * a2) * inv
             rates[rows.base] = y[rows.base + 1]
             rates[rows.base + 1] = self.base
-        for j, row in enumerate((rows.bristle1, rows.bristle2)):
-            if row:
-                rates[row] = y[2 + j] - np.abs(y[2 + j]) * y[row] * self.bristle[j][2]
+        if rows.bristle2:
+            rates[rows.bristle2] = self._bristle_rate(y)
         if rows.slosh:
             has = c["slosh"] > 0
             reaction = c["slosh_stiffness"] * y[rows.slosh] + c["slosh_damping"] * y[rows.slosh + 1]

@@ -1,11 +1,9 @@
 """Cases of `make evidence`: a family of legs, what is hidden, a seed; and the order in which they are diagnosed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,13 +27,10 @@ def bench_case(hidden: str, seed: int) -> Case:
 
 def make_bench(hidden: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
-    case = bench_case(hidden, seed)
-    if not (out / f"{case.name}.truth.json").exists():
-        bench.generate([case], out)
+    bench.generate([bench_case(hidden, seed)], out)
 
 
-@dataclass(frozen=True)
-class Family:
+class Family(NamedTuple):
     """One make of legs."""
 
     legs: str
@@ -60,8 +55,7 @@ FAMILIES: dict[str, Family] = {
     RECORDS: Family("real records, a fault put into their readings", records.make_case, records.NAMES)}
 
 
-@dataclass(frozen=True)
-class PlannedCase:
+class PlannedCase(NamedTuple):
     """A case by its family, what is hidden in it, and the seed of everything else."""
 
     family: str
@@ -95,8 +89,9 @@ class PlannedCase:
         return () if self.kind in ("none", "outside") else tuple(self.hidden.split(" ")[-1].split("+"))
 
     def make(self, out: Path) -> None:
-        """Write its files below OUT; nothing where they are."""
-        FAMILIES[self.family].make(self.hidden, self.seed, out)
+        """Write its files below OUT; nothing where they are, whole: its truth is written last."""
+        if not (out / f"{self.name}.truth.json").exists():
+            FAMILIES[self.family].make(self.hidden, self.seed, out)
 
 
 def one_round(number: int, families: Iterable[str], seed: int) -> list[PlannedCase]:

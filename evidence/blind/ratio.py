@@ -5,8 +5,6 @@ each run's initial state; to first order it removes from both errors what lies i
 that of what is projected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -22,7 +20,7 @@ EVERY = 4
 _NUDGE = 2e-3
 
 
-def sensitivities(leg: Leg, torque: Array, lever: float = 0.20) -> Array:
+def sensitivities(leg: Leg, torque: Array) -> Array:
     """Slopes of the four sensors on parameters and initial state, (13, R, 4, N/EVERY); `torque` is (N, R).
 
     The five inertial nudges are physical (`MOVED`); they span the same changes as beta1 .. beta5.
@@ -37,7 +35,7 @@ def sensitivities(leg: Leg, torque: Array, lever: float = 0.20) -> Array:
         start[j, 1 + len(MOVED) + j] = _NUDGE
     motion = integrate(joined, np.tile(torque, (1, count)), start=start.reshape(4, -1), step=2.5e-3)
     still = np.zeros_like(motion.q1)
-    gyro, ax, ay = imu(motion.q1, motion.w1, motion.a1, still, still, lever)
+    gyro, ax, ay = imu(motion.q1, motion.w1, motion.a1, still, still, Sensors.lever)
     seen = np.stack([motion.q2, gyro, ax, ay])[:, ::EVERY].reshape(4, -1, count, runs)
     moved = (seen[:, :, 1:] - seen[:, :, :1]) / _NUDGE
     return np.ascontiguousarray(moved.transpose(2, 3, 0, 1))
@@ -53,11 +51,9 @@ def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping
 
     error, floor = differ(measured), differ(bare)
     level = np.sqrt(np.mean(floor**2, axis=(0, 2)) + sigma[:, 0]**2)[:, None]
-    runs = len(measured)
     # columns: nine parameters common to the runs, four initial states for each run
-    common = slopes[:9]
-    columns = [(s / level).reshape(-1) for s in common]
-    for run in range(runs):
+    columns = [(s / level).reshape(-1) for s in slopes[:9]]
+    for run in range(len(measured)):
         for s in slopes[9:]:
             one = np.zeros_like(error)
             one[run] = s[run] / level
@@ -66,7 +62,7 @@ def error_ratio(measured: Sequence[Mapping[str, Array]], plain: Sequence[Mapping
 
     def project(a: Array) -> Array:
         flat = (a / level).reshape(-1)
-        return np.asarray((flat - basis @ (basis.T @ flat)).reshape(a.shape) * level)
+        return (flat - basis @ (basis.T @ flat)).reshape(a.shape) * level
 
     power = [np.mean(x**2, axis=(0, 2)) + sigma[:, 0]**2 for x in (project(error), project(floor))]
     return float(np.sqrt(power[0] / power[1]).max())

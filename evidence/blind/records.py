@@ -5,18 +5,16 @@ diagnosed too: what changes against it is what was put in. The rig files are tho
 these machines; records and their published answers stay in ../shared/realdata.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from evidence.blind.score import PRESENT, Outcome, same
-from evidence.blind.servo import effect, is_made
+from evidence.blind.servo import Readings, effect, of_case, off_centre
 from evidence.frame import share, table
 from tests.support.paths import REAL, ROOT
 
@@ -24,7 +22,6 @@ RIGS = ROOT / "studies/rigs"
 UNTOUCHED = "untouched"
 COMMANDS = {"goal_rad": "q1_cmd_rad"}
 """Column of a record to that of the contract."""
-Readings = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -42,8 +39,7 @@ class Record:
     """What is put in, of ordinary strength, by effect."""
 
 
-@dataclass(frozen=True)
-class Fault:
+class Fault(NamedTuple):
     """A fault of a reading: name of its size, and what it does to the columns of a record's runs."""
 
     size: str
@@ -51,18 +47,19 @@ class Fault:
     put_in: Callable[[Sequence[Readings], Record, float], None]
 
 
-def _each(of_run: Callable[[Readings, Record, float], None]) -> Callable[[Sequence[Readings], Record, float], None]:
-    """The fault of one run in each of several."""
+def _angle(law: Callable[[np.ndarray, float], np.ndarray]) -> Callable[[Sequence[Readings], Record, float], None]:
+    """A fault of the angle in each run."""
     def put_in(runs: Sequence[Readings], record: Record, size: float) -> None:
         for c in runs:
-            of_run(c, record, size)
+            c[record.angle] = law(c[record.angle], size)
 
     return put_in
 
 
-def _late(c: Readings, record: Record, size: float) -> None:
-    for name in record.torque:
-        c[name] = np.interp(c["time_s"] - size, c["time_s"], c[name])
+def _late(runs: Sequence[Readings], record: Record, size: float) -> None:
+    for c in runs:
+        for name in record.torque:
+            c[name] = np.interp(c["time_s"] - size, c["time_s"], c[name])
 
 
 def _saturated(runs: Sequence[Readings], record: Record, size: float) -> None:
@@ -74,23 +71,10 @@ def _saturated(runs: Sequence[Readings], record: Record, size: float) -> None:
             c[name] = c[name] * (1.0 + size * (c[name] / most) ** 4)
 
 
-def _offset(c: Readings, record: Record, size: float) -> None:
-    c[record.angle] = c[record.angle] + size
-
-
-def _scaled(c: Readings, record: Record, size: float) -> None:
-    c[record.angle] = c[record.angle] * (1.0 + size)
-
-
-def _eccentric(c: Readings, record: Record, size: float) -> None:
-    q = c[record.angle]
-    c[record.angle] = q + np.arctan2(size * np.sin(q - 0.7), 1.0 + size * np.cos(q - 0.7))
-
-
-FAULTS = {"torque_delay": Fault("delay", False, _each(_late)), "torque_saturation": Fault("", False, _saturated),
-          "encoder_offset": Fault("offset", True, _each(_offset)),
-          "encoder_scale": Fault("scale_error", True, _each(_scaled)),
-          "encoder_eccentricity": Fault("", True, _each(_eccentric))}
+FAULTS = {"torque_delay": Fault("delay", False, _late), "torque_saturation": Fault("", False, _saturated),
+          "encoder_offset": Fault("offset", True, _angle(lambda q, size: q + size)),
+          "encoder_scale": Fault("scale_error", True, _angle(lambda q, size: q * (1.0 + size))),
+          "encoder_eccentricity": Fault("", True, _angle(lambda q, size: q + off_centre(q, size)))}
 ARM = {"torque_delay": 0.02, "torque_saturation": 0.3, "encoder_offset": 0.15, "encoder_scale": 0.08,
        "encoder_eccentricity": 0.12}
 RECORDS = {
@@ -109,12 +93,10 @@ NAMES = tuple(f"{record}.{fault}" for record, r in RECORDS.items() for fault in 
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
+    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it."""
     key, fault = name.split(".")
     record = RECORDS[key]
-    size = record.sizes.get(fault, 0.0) * np.random.default_rng([sum(map(ord, name)), seed, 5]).uniform(0.7, 1.3)
+    size = record.sizes.get(fault, 0.0) * of_case(name, seed, 5).uniform(0.7, 1.3)
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     tables = [np.genfromtxt(REAL / record.folder / f"{run}.csv.gz", delimiter=",", names=True) for run in record.runs]
@@ -124,7 +106,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     for k, columns in enumerate(runs, 1):
         np.savetxt(folder / f"r{k}.csv", np.column_stack(list(columns.values())), delimiter=",",
                    header=",".join(columns), comments="", fmt="%.12g")
-    (folder / "rig.toml").write_text((RIGS / record.rig).read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "rig.toml").write_bytes((RIGS / record.rig).read_bytes())
     truth: dict[str, Any] = {"name": folder.name, "effects": [], "seed": seed}
     if fault != UNTOUCHED:
         named = {FAULTS[fault].size: size} if FAULTS[fault].size else {}
@@ -144,7 +126,7 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         record, fault = o.truth["name"].rsplit("-", 1)[0].split(".")
         before = plain.get(record)
         if before is None:
-            rows.append((record, fault, "no answer yet", o.said, "-", "-", "-"))
+            rows.append(f"{record} | {fault} | no answer yet | {o.said} | - | - | -")
             continue
         size, told = next(iter(o.hidden[0]["sizes"].values()), None), _size(o, o.hidden[0])
         already = size_before(answers[before.truth["name"]], o.hidden[0])
@@ -155,12 +137,12 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         size_found = "-" if told is None else f"{told[0]:.3g} [{told[1]:.3g}, {told[2]:.3g}]"
         error = answers[o.truth["name"]].get("error")
         errors = "-" if not error else f"{error['before']:.2f}, {error['after']:.2f}"
-        rows.append((record, fault, before.said, o.said, put_in, size_found, errors))
-    return [*table(" | measured", [
-        ("named or in the set", share(one for own in by_record.values() for one in own)),
-        *((f"of these on {one}", share(own)) for one, own in sorted(by_record.items())),
-        ("size inside its 95 % interval", share(sized))]),
-        *table("record | fault | untouched | spoilt | there + put in | found | rms error before, after", rows)]
+        rows.append(f"{record} | {fault} | {before.said} | {o.said} | {put_in} | {size_found} | {errors}")
+    return [table(" | measured", [
+        f"named or in the set | {share(one for own in by_record.values() for one in own)}",
+        *(f"of these on {one} | {share(own)}" for one, own in sorted(by_record.items())),
+        f"size inside its 95 % interval | {share(sized)}"]),
+        table("record | fault | untouched | spoilt | there + put in | found | rms error before, after", rows)]
 
 
 def is_found(spoilt: Outcome, plain: Outcome, inside: bool | None) -> bool:

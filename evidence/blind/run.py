@@ -1,7 +1,5 @@
 """One case, diagnosed by `legid diagnose` in a process of its own, as a user types it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -51,7 +49,7 @@ def diagnose(case: PlannedCase, cases: Path, out: Path, limit_s: float = LIMIT_S
     start = time.perf_counter()
     status, said, cpu_s = _finish(command_of(case, cases, answer, share), limit_s)
     if status in (0, 1) and answer.exists():
-        found = json.loads(answer.read_text(encoding="utf-8"))
+        found = json.loads(answer.read_text())
         found["bench"] = {"status": status, "crashed": False}
     else:
         found = failed("", status)
@@ -68,7 +66,7 @@ def failed(said: str, status: int | None = None) -> dict[str, Any]:
 def keep(found: dict[str, Any], case: PlannedCase, out: Path) -> None:
     """Write the answer of a case, whole or not at all."""
     part = out / f"{case.name}.part"
-    part.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    part.write_text(json.dumps(found, indent=1))
     part.replace(out / f"{case.name}.json")
 
 

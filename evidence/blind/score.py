@@ -1,8 +1,6 @@
 """One diagnosis against what was hidden: is it exact, is the truth in it, is a name wrong, are its sizes in their
 intervals; and rates with their 95 % intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt

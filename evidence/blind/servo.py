@@ -5,8 +5,6 @@ effect has a law of its own, none the library's formula where another is plausib
 jump, so what is logged there is the mean of both sides.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,11 +13,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.random import Generator
 
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
 TICK_S, STEP_S, RATE_HZ, SECONDS, RUNS = 1e-3, 2.5e-4, 100.0, 20.0, 8
 GEAR = 50.0
+RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 COUNTS = 8192
 COLUMNS = ("time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2")
 NOISE = {"gyro_radps": 0.004, "accel_x_mps2": 0.04, "accel_y_mps2": 0.04, "tau2_nm": 0.01}
@@ -32,12 +32,12 @@ XML = """
       {base}
       <inertial pos="0 0 0" mass="{base_mass}" diaginertia="0.1 0.1 0.1"/>
       <body name="upper" pos="0 0 0">
-        <joint name="pivot" type="hinge" axis="0 -1 0" damping="{d1}" frictionloss="{f1}" stiffness="{k1}"
+        <joint name="pivot" type="hinge" axis="0 -1 0" damping="{viscous[0]}" frictionloss="{f1}" stiffness="{k1}"
                springref="{r1}"/>
         <inertial pos="0 0 -{c1}" mass="{m1}" diaginertia="{i1} {i1} {i1}"/>
         <site name="imu" pos="0 0 -{lever}"/>
         <body name="lower" pos="0 0 -{l1}">
-          <joint name="knee" type="hinge" axis="0 -1 0" damping="{d2}" frictionloss="{f2}" stiffness="{k2}"
+          <joint name="knee" type="hinge" axis="0 -1 0" damping="{viscous[1]}" frictionloss="{f2}" stiffness="{k2}"
                  springref="{r2}" armature="{armature}" {limit}/>
           <inertial pos="0 0 -{c2}" mass="{m2}" diaginertia="{i2} {i2} {i2}"/>
         </body>
@@ -47,6 +47,9 @@ XML = """
   <sensor><accelerometer site="imu"/><gyro site="imu"/></sensor>
 </mujoco>
 """
+Readings = dict[str, np.ndarray]
+"""Columns as the sensors would read them."""
+Change = Callable[[Readings], None]
 Law = Callable[[np.ndarray, np.ndarray, float, float], tuple[float, float]]
 """(q, v, commanded torque, session time) -> torques that act beside MuJoCo's own on pivot and knee [N m]."""
 
@@ -61,7 +64,7 @@ class Plant:
     base_n_per_m: float = 0.0
     friction_now: Callable[[float], float] = lambda t: 1.0
     law: Law = lambda q, v, u, t: (0.0, 0.0)
-    logged: Callable[[dict[str, np.ndarray]], None] = lambda columns: None
+    logged: Change = lambda columns: None
     late_s: dict[str, float] = field(default_factory=dict)
 
 
@@ -92,59 +95,63 @@ def _sign(v: float, scale: float = 0.01) -> float:
     return float(np.clip(v / scale, -1.0, 1.0))
 
 
-def _scaled(name: str, factor: float, offset: float = 0.0) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        columns[name] = columns[name] * factor + offset
+def changed(name: str, law: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def change(columns: Readings) -> None:
+        columns[name] = law(columns[name])
     return change
 
 
-def _tilted(angle: float) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        x, y = columns["accel_x_mps2"].copy(), columns["accel_y_mps2"].copy()
+def turned(angle: float) -> Change:
+    """An accelerometer that is mounted askew."""
+    def change(columns: Readings) -> None:
+        x, y = columns["accel_x_mps2"], columns["accel_y_mps2"]
         columns["accel_x_mps2"], columns["accel_y_mps2"] = (np.cos(angle) * x - np.sin(angle) * y,
                                                             np.sin(angle) * x + np.cos(angle) * y)
     return change
 
 
-def _disc(depth: float) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(columns: dict[str, np.ndarray]) -> None:
-        q = columns["q2_rad"]
-        columns["q2_rad"] = q + np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7))
-    return change
+def off_centre(q: np.ndarray, depth: float) -> np.ndarray:
+    """Error of an angle [rad] from a disc off centre by `depth` radii, read by one head."""
+    return np.arctan2(depth * np.sin(q - 0.7), 1.0 + depth * np.cos(q - 0.7))
+
+
+def at_knee(torque: Callable[[np.ndarray, np.ndarray, float, float], float]) -> Plant:
+    """A plant whose law acts on the knee alone."""
+    return Plant(law=lambda q, v, u, t: (0.0, torque(q, v, u, t)))
 
 
 MAKERS: dict[str, Callable[[float], Plant]] = {
     "none": lambda s: Plant(),
     "joint_stiffness": lambda s: Plant(spring=((0.0, 0.0), (0.35 * s, 0.2))),
     "rotor_inertia": lambda s: Plant(armature=0.006 * s),
-    "quadratic_drag": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.03 * s * v[1] * abs(v[1]) ** 0.9)),
-    "asymmetric_friction": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.08 * s * max(_sign(v[1]), 0.0))),
-    "stribeck_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12))),
-    "load_dependent_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.12 * s * abs(u) * _sign(v[1]))),
-    "torque_ripple": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1])))),
-    "torque_offset": lambda s: Plant(logged=_scaled("tau2_nm", 1.0, 0.06 * s)),
-    "torque_saturation": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u)),
+    "quadratic_drag": lambda s: at_knee(lambda q, v, u, t: -0.03 * s * v[1] * abs(v[1]) ** 0.9),
+    "asymmetric_friction": lambda s: at_knee(lambda q, v, u, t: -0.08 * s * max(_sign(v[1]), 0.0)),
+    "stribeck_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.15 * s * _sign(v[1]) / (1.0 + abs(v[1]) / 0.12)),
+    "load_dependent_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.12 * s * abs(u) * _sign(v[1])),
+    "torque_ripple": lambda s: at_knee(
+        lambda q, v, u, t: 0.08 * s * (np.sin(1 * GEAR * q[1] + 0.4) + 0.1 * np.sin(2 * GEAR * q[1]))),
+    "torque_offset": lambda s: Plant(logged=changed("tau2_nm", lambda u: u + 0.06 * s)),
+    "torque_saturation": lambda s: at_knee(
+        lambda q, v, u, t: u / (1.0 + (abs(u) / (2.6 / s)) ** 3) ** (1 / 3) - u),
     "torque_delay": lambda s: Plant(late_s={"tau2_nm": 0.006 * s}),
     "sensor_time_skew": lambda s: Plant(
         late_s={k: 0.004 * s for k in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")}),
-    "gyro_bias": lambda s: Plant(logged=_scaled("gyro_radps", 1.0, 0.03 * s)),
-    "gyro_scale": lambda s: Plant(logged=_scaled("gyro_radps", 1.0 + 0.03 * s)),
-    "accelerometer_bias": lambda s: Plant(logged=_scaled("accel_x_mps2", 1.0, 0.25 * s)),
-    "imu_misalignment": lambda s: Plant(logged=_tilted(0.03 * s)),
-    "encoder_offset": lambda s: Plant(logged=_scaled("q2_rad", 1.0, 0.03 * s)),
-    "encoder_scale": lambda s: Plant(logged=_scaled("q2_rad", 1.0 + 0.03 * s)),
-    "encoder_eccentricity": lambda s: Plant(logged=_disc(0.04 * s)),
+    "gyro_bias": lambda s: Plant(logged=changed("gyro_radps", lambda w: w + 0.03 * s)),
+    "gyro_scale": lambda s: Plant(logged=changed("gyro_radps", lambda w: w * (1.0 + 0.03 * s))),
+    "accelerometer_bias": lambda s: Plant(logged=changed("accel_x_mps2", lambda a: a + 0.25 * s)),
+    "imu_misalignment": lambda s: Plant(logged=turned(0.03 * s)),
+    "encoder_offset": lambda s: Plant(logged=changed("q2_rad", lambda q: q + 0.03 * s)),
+    "encoder_scale": lambda s: Plant(logged=changed("q2_rad", lambda q: q * (1.0 + 0.03 * s))),
+    "encoder_eccentricity": lambda s: Plant(logged=changed("q2_rad", lambda q: q + off_centre(q, 0.04 * s))),
     "end_stop_contact": lambda s: Plant(limit=0.75 / s),
     "friction_drift": lambda s: Plant(friction_now=lambda t: 1.0 + 1.5 * s * np.exp(-t / 70.0)),
     "base_compliance": lambda s: Plant(base_n_per_m=6000.0 / s),
     # no effect of the library does these
-    "outside_cubic_spring": lambda s: Plant(law=lambda q, v, u, t: (0.0, -0.35 * s * (q[1] - 0.1) ** 3)),
-    "outside_patchy_friction": lambda s: Plant(
-        law=lambda q, v, u, t: (0.0, -0.12 * s * _sign(v[1]) * (1.0 + np.sin(4.0 * q[1] + 0.5)))),
+    "outside_cubic_spring": lambda s: at_knee(lambda q, v, u, t: -0.35 * s * (q[1] - 0.1) ** 3),
+    "outside_patchy_friction": lambda s: at_knee(
+        lambda q, v, u, t: -0.12 * s * _sign(v[1]) * (1.0 + np.sin(4.0 * q[1] + 0.5))),
     "outside_magnet": lambda s: Plant(
         law=lambda q, v, u, t: (-0.2 * s * (q[0] - 0.1) * np.exp(-((q[0] - 0.1) / 0.08) ** 2) / 0.08, 0.0)),
 }
@@ -155,13 +162,12 @@ def model_of(leg: Leg, plant: Plant, dry: float) -> mujoco.MjModel:
     base = f'<joint type="slide" axis="1 0 0" stiffness="{plant.base_n_per_m}" damping="12"/>' \
         if plant.base_n_per_m else ""
     limit = f'limited="true" range="-3.0 {plant.limit}" solreflimit="-1500 -3"' if plant.limit else ""
-    text = XML.format(step=STEP_S, g=GRAVITY, d1=leg.viscous[0], d2=leg.viscous[1], f1=0.1 * dry, f2=dry, m1=leg.m1,
-                      c1=leg.c1, i1=leg.i1, l1=leg.l1, m2=leg.m2, c2=leg.c2, i2=leg.i2, lever=leg.lever, k1=k1, r1=r1,
-                      k2=k2, r2=r2, armature=plant.armature, base=base, base_mass=2.0, limit=limit)
+    text = XML.format(**vars(leg), step=STEP_S, g=GRAVITY, f1=0.1 * dry, f2=dry, k1=k1, r1=r1, k2=k2, r2=r2,
+                      armature=plant.armature, base=base, base_mass=2.0, limit=limit)
     return mujoco.MjModel.from_xml_string(text)
 
 
-def reference(rng: np.random.Generator, time: np.ndarray, run: int) -> tuple[np.ndarray, np.ndarray]:
+def reference(rng: Generator, time: np.ndarray, run: int) -> tuple[np.ndarray, np.ndarray]:
     """A servo's commanded angle and rate: random-phase multisines, some runs fast, some slow."""
     high = (2.2, 1.6, 2.8, 0.7)[run % 4]
     f = np.arange(0.1, high, 1.0 / SECONDS)
@@ -174,7 +180,7 @@ def reference(rng: np.random.Generator, time: np.ndarray, run: int) -> tuple[np.
     return peak * begin * q, peak * (begin * v + (time < 1.0) * q)
 
 
-def record(leg: Leg, plant: Plant, dry: float, rng: np.random.Generator, run: int, session_s: float
+def record(leg: Leg, plant: Plant, dry: float, rng: Generator, run: int, session_s: float
            ) -> dict[str, np.ndarray]:
     """One run as logged, without noise; what is late is read off a finer grid."""
     model = model_of(leg, plant, dry)
@@ -210,32 +216,38 @@ def record(leg: Leg, plant: Plant, dry: float, rng: np.random.Generator, run: in
     return out
 
 
-def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
-              makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
-    if is_made(name, seed, out):
-        return
-    rng = np.random.default_rng([sum(map(ord, name)), seed])
-    strength *= rng.uniform(0.85, 1.15)
-    plant = makers[name](strength)
-    leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
-    dry = rng.uniform(0.02, 0.08)
+def make_case(name: str, seed: int, out: Path, makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
+    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it."""
+    rng = of_case(name, seed)
+    strength = rng.uniform(0.85, 1.15)
+    write_plant(name, seed, out, makers[name](strength), truth_of(name, strength), *draw(rng), rng)
+
+
+def of_case(name: str, *numbers: int) -> np.random.Generator:
+    """Random numbers of a case's name and numbers."""
+    return np.random.default_rng([sum(map(ord, name)), *numbers])
+
+
+def draw(rng: np.random.Generator) -> tuple[Leg, float]:
+    """A leg, and the dry friction of its knee [N m]."""
+    return replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
+
+
+def write_plant(name: str, seed: int, out: Path, plant: Plant, hidden: Sequence[dict[str, Any]], leg: Leg, dry: float,
+                rng: np.random.Generator) -> Leg:
+    """Record and write the runs of a plant; the leg with its friction."""
     runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", truth_of(name, strength), dry)
-
-
-def is_made(name: str, seed: int, out: Path) -> bool:
-    """Whether a case is there, whole: its truth is written last."""
-    return (out / f"{name}-{seed}.truth.json").exists()
+    write_case(name, seed, out, runs, rng, leg, RIG, hidden, dry)
+    return replace(leg, coulomb=(0.1 * dry, dry))
 
 
 def counted(q: np.ndarray) -> np.ndarray:
     """An angle as the encoder reads it."""
     step = 2 * np.pi / COUNTS
-    return np.asarray(np.round(q / step) * step)
+    return np.round(q / step) * step
 
 
-def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: np.random.Generator,
+def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: Generator,
                leg: Leg, rig: str, hidden: Sequence[dict[str, Any]], dry: float) -> None:
     """Runs as sensors with noise log them, a rig file that says nothing but what everybody knows, and the truth."""
     folder = out / f"{name}-{seed}"
@@ -249,5 +261,5 @@ def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndar
     (folder / "rig.toml").write_text(
         f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n{rig}')
     (out / f"{folder.name}.truth.json").write_text(json.dumps(
-        {"name": folder.name, "effects": list(hidden), "seed": seed, "beta": [float(b) for b in leg.beta()],
+        {"name": folder.name, "effects": list(hidden), "seed": seed, "beta": leg.beta().tolist(),
          "dry": dry}))

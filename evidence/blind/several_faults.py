@@ -6,16 +6,12 @@ run by much; what is hidden beside them is one of `servo`'s effects of ordinary 
 material.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import GEAR, MAKERS, RUNS, Plant, is_made, record, truth_of, write_case
-from tests.support.mujoco_leg import random_leg
+from evidence.blind.servo import MAKERS, Plant, Readings, draw, of_case, truth_of, write_plant
 
 TEN = {"joint_stiffness": 0.02, "quadratic_drag": 0.02, "asymmetric_friction": 0.02, "torque_ripple": 0.05,
        "torque_delay": 0.04, "sensor_time_skew": 0.03, "gyro_scale": 0.04, "accelerometer_bias": 0.05,
@@ -36,7 +32,7 @@ def together(plants: Sequence[Plant]) -> Plant:
         parts = [p.law(q, v, u, t) for p in plants]
         return sum(a for a, _ in parts), sum(b for _, b in parts)
 
-    def logged(columns: dict[str, np.ndarray]) -> None:
+    def logged(columns: Readings) -> None:
         for p in plants:
             p.logged(columns)
 
@@ -56,14 +52,10 @@ def together(plants: Sequence[Plant]) -> Plant:
 def make_case(name: str, seed: int, out: Path, always: Mapping[str, float] = TEN) -> None:
     """As `servo.make_case`, of effects joined by a plus, together with faults that are `always` there; the truth holds
     the effects alone."""
-    if is_made(name, seed, out):
-        return
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 7])
+    rng = of_case(name, seed, 7)
     strengths = {n: rng.uniform(0.85, 1.15) for n in name.split("+")}
     hidden = together([MAKERS[n](strength) for n, strength in strengths.items()])
     small = [MAKERS[n](share * rng.uniform(0.7, 1.3)) for n, share in always.items() if n != name]
     plant = together([hidden, *small])
     truth = [one for n, strength in strengths.items() for one in truth_of(n, strength)]
-    leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
-    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", truth, dry)
+    write_plant(name, seed, out, plant, truth, *draw(rng), rng)

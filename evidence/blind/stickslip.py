@@ -5,65 +5,47 @@ the runs by an open-loop torque and half by a position controller, logged at 100
 logged, none by the library's formula where another is plausible; so it can be exact, whatever the leg does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import is_made, truth_of, write_case
+from evidence.blind.servo import Change, Readings, changed, of_case, truth_of, turned, write_case
 from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.stick_slip_leg import PEAK_NM, TICK_S, Motion, move
 
 RATE_HZ, SECONDS, RUNS = 100.0, 20.0, 8
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
-Readings = dict[str, np.ndarray]
-"""Columns at every tick, as the sensors would read them."""
 
 
-def _shift(names: tuple[str, ...], seconds: float) -> Callable[[Readings], None]:
+def _shift(names: tuple[str, ...], seconds: float) -> Change:
     def change(c: Readings) -> None:
         for name in names:
             c[name] = np.interp(c["time_s"] - seconds, c["time_s"], c[name])
     return change
 
 
-def _map(name: str, law: Callable[[np.ndarray], np.ndarray]) -> Callable[[Readings], None]:
-    def change(c: Readings) -> None:
-        c[name] = law(c[name])
-    return change
-
-
-def _turned(angle: float) -> Callable[[Readings], None]:
-    def change(c: Readings) -> None:
-        x, y = c["accel_x_mps2"], c["accel_y_mps2"]
-        c["accel_x_mps2"], c["accel_y_mps2"] = (x * np.cos(angle) - y * np.sin(angle),
-                                                x * np.sin(angle) + y * np.cos(angle))
-    return change
-
-
-MAKERS: dict[str, tuple[Callable[[float], Callable[[Readings], None]], int | None]] = {
+MAKERS: dict[str, tuple[Callable[[float], Change], int | None]] = {
     "none": (lambda s: lambda c: None, None),
-    "torque_offset": (lambda s: _map("tau2_nm", lambda u: u + 0.06 * s), None),
+    "torque_offset": (lambda s: changed("tau2_nm", lambda u: u + 0.06 * s), None),
     "torque_delay": (lambda s: _shift(("tau2_nm",), 0.010 * s), None),
     # the motor gives less than the current says, softly: the reading is what was asked for
-    "torque_saturation": (lambda s: _map("tau2_nm", lambda u: u + 0.10 * s * u**5 / PEAK_NM**4), None),
+    "torque_saturation": (lambda s: changed("tau2_nm", lambda u: u + 0.10 * s * u**5 / PEAK_NM**4), None),
     "sensor_time_skew": (lambda s: _shift(IMU, 0.005 * s), None),
-    "gyro_bias": (lambda s: _map("gyro_radps", lambda w: w + 0.03 * s), None),
-    "gyro_scale": (lambda s: _map("gyro_radps", lambda w: w * (1.0 + 0.03 * s)), None),
-    "accelerometer_bias": (lambda s: _map("accel_x_mps2", lambda a: a + 0.25 * s), None),
-    "imu_misalignment": (lambda s: _turned(0.03 * s), None),
-    "encoder_offset": (lambda s: _map("q2_rad", lambda q: q + 0.03 * s), 2),
-    "encoder_scale": (lambda s: _map("q2_rad", lambda q: q * (1.0 + 0.04 * s)), 2),
-    "encoder_eccentricity": (lambda s: _map(
+    "gyro_bias": (lambda s: changed("gyro_radps", lambda w: w + 0.03 * s), None),
+    "gyro_scale": (lambda s: changed("gyro_radps", lambda w: w * (1.0 + 0.03 * s)), None),
+    "accelerometer_bias": (lambda s: changed("accel_x_mps2", lambda a: a + 0.25 * s), None),
+    "imu_misalignment": (lambda s: turned(0.03 * s), None),
+    "encoder_offset": (lambda s: changed("q2_rad", lambda q: q + 0.03 * s), 2),
+    "encoder_scale": (lambda s: changed("q2_rad", lambda q: q * (1.0 + 0.04 * s)), 2),
+    "encoder_eccentricity": (lambda s: changed(
         "q2_rad", lambda q: np.unwrap(np.arctan2(np.sin(q) + 0.05 * s * np.sin(0.6), np.cos(q) - 0.05 * s))), 2),
     # nothing in the library does these
-    "outside_gyro_dead_band": (lambda s: _map(
+    "outside_gyro_dead_band": (lambda s: changed(
         "gyro_radps", lambda w: np.sign(w) * np.maximum(np.abs(w) - 0.06 * s, 0.0)), None),
-    "outside_torque_dead_band": (lambda s: _map("tau2_nm", lambda u: u + 0.12 * s * np.tanh(u / 0.05)), None),
-    "outside_encoder_kink": (lambda s: _map("q2_rad", lambda q: q + 0.05 * s * np.abs(q - 0.2)), None),
+    "outside_torque_dead_band": (lambda s: changed("tau2_nm", lambda u: u + 0.12 * s * np.tanh(u / 0.05)), None),
+    "outside_encoder_kink": (lambda s: changed("q2_rad", lambda q: q + 0.05 * s * np.abs(q - 0.2)), None),
 }
 SIZES = {"torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.010}, "sensor_time_skew": {"skew": 0.005},
          "gyro_bias": {"bias": 0.03}, "gyro_scale": {"scale_error": 0.03}, "accelerometer_bias": {"bias_x": 0.25},
@@ -71,24 +53,21 @@ SIZES = {"torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.010}, "s
 """Of ordinary strength, where the library's law has the same size."""
 
 
-def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
+def make_case(name: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
-    if is_made(name, seed, out):
-        return
-    rng = np.random.default_rng([sum(map(ord, name)), seed, 3])
-    strength *= rng.uniform(0.85, 1.15)
-    change = MAKERS[name][0](strength)
-    leg, dry, runs = record([change] * RUNS, rng)
+    rng = of_case(name, seed, 3)
+    strength = rng.uniform(0.85, 1.15)
+    leg, dry, runs = record([MAKERS[name][0](strength)] * RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, "", truth_of(name, strength, SIZES), dry)
 
 
-def record(changes: Sequence[Callable[[Readings], None]], rng: np.random.Generator
+def record(changes: Sequence[Change], rng: np.random.Generator
            ) -> tuple[Leg, float, Iterator[Readings]]:
     """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `changes`."""
     dry = rng.uniform(0.02, 0.10) * PEAK_NM
     leg = replace(random_leg(rng), coulomb=(0.005 + 0.1 * dry, dry))
 
-    def logged(run: int, change: Callable[[Readings], None]) -> Readings:
+    def logged(run: int, change: Change) -> Readings:
         readings = as_read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run // 2]))
         change(readings)
         return {k: v[:: round(1.0 / (RATE_HZ * TICK_S))] for k, v in readings.items()}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import MonkeyPatch, approx, mark
 
 from estimator.diagnosis.calibration import calibrated
 from evidence.blind import causes, geared, run
@@ -65,7 +65,7 @@ def test_single_cases_are_chosen_by_a_part_of_their_name() -> None:
     assert len(choose(["servo"], [], [1])) == len(FAMILIES["servo"].hidden)
 
 
-@pytest.mark.parametrize("family, hidden, kind, effects", [
+@mark.parametrize("family, hidden, kind, effects", [
     ("servo", "none", "none", ()), ("geared", "none_wandering", "none", ()), ("outside", "outside_worm", "outside", ()),
     ("geared", "gyro_bias", "single", ("gyro_bias",)), ("pairs", "gyro_scale+encoder_offset", "pair",
                                                         ("gyro_scale", "encoder_offset")),
@@ -153,7 +153,7 @@ def test_the_page_has_each_count_and_every_case_that_is_not_right(tmp_path: Path
     assert "healthy: no alarm 1/3; material singles: named exactly 2/6" in causes._result(text)
 
 
-def test_a_case_that_could_not_be_made_counts_as_a_miss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_that_could_not_be_made_counts_as_a_miss(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     def broken(name: str, seed: int, out: Path) -> None:
         raise ValueError("no leg")
 
@@ -162,7 +162,8 @@ def test_a_case_that_could_not_be_made_counts_as_a_miss(tmp_path: Path, monkeypa
     assert causes.answer(case, tmp_path)["bench"]["said"] == "not made: ValueError: no leg"
     (found,) = read([case], tmp_path)
     assert found.material and not found.right and [e["effect"] for e in found.outcome.hidden] == ["gyro_bias"]
-    assert "| geared | gyro_bias-1 | fit_failed (not made: ValueError: no leg) | - | - |" in tables([found], 1)
+    page = "\n".join(tables([found], 1))
+    assert "| geared | gyro_bias-1 | fit_failed (not made: ValueError: no leg) | - | - |" in page
 
 
 def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path: Path) -> None:
@@ -190,7 +191,7 @@ def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path:
         ["all", "10", "0.83", "5/10", "4/7", "1/3"]]
 
 
-@pytest.mark.parametrize("column, hits, count, said", [
+@mark.parametrize("column, hits, count, said", [
     (Column("x", lambda a: None, 0.05, at_most=True), 0, 100, "at most 5 %: met"),
     (Column("x", lambda a: None, 0.05, at_most=True), 0, 5, "at most 5 %: met, too few"),
     (Column("x", lambda a: None, 0.05, at_most=True), 50, 100, "at most 5 %: **missed**"),
@@ -203,7 +204,7 @@ def test_a_target_is_met_missed_or_left_open(column: Column, hits: int, count: i
     assert judged.startswith(said) and ("too few" in judged) == ("too few" in said)
 
 
-def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     """The command is replaced: what a diagnosis costs is not the matter here."""
     family = FAMILIES["geared"].__class__("", lambda name, seed, out: None, ("none", "gyro_bias", "torque_delay"))
     monkeypatch.setitem(FAMILIES, "geared", family)
@@ -221,8 +222,8 @@ def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Mo
     assert {p.stem for p in after} == {case.name for case in cases} and before.items() <= after.items()
 
 
-@pytest.mark.slow
-def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@mark.slow
+def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     """A real healthy leg of four runs of four seconds, through the real command."""
     monkeypatch.setattr(geared, "SECONDS", 4.0)
     monkeypatch.setattr(geared, "RUNS", 4)
@@ -252,7 +253,7 @@ def test_a_calibration_finds_the_odds_of_answers_and_asks_other_families() -> No
     odds = (0.5, 0.3, 0.4)
     answers = [Stated("ab"[k % 2], p, bool(rng.random() < calibrated(p, odds)))
                for k, p in enumerate(rng.uniform(0.0, 1.0, 20_000))]
-    assert fit(answers) == pytest.approx(odds, abs=0.1)
+    assert fit(answers) == approx(odds, abs=0.1)
     sure = [calibrated(p, fit(answers)) for p in (0.0, 0.2, 0.9, 1.0)]
     assert sure == sorted(sure) and sure[0] > 0.0 and sure[-1] < 1.0
 

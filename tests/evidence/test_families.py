@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import MonkeyPatch, approx, mark
 
 from evidence.blind import geared, outside, records, servo, several_faults, stickslip
 from evidence.blind.plan import PlannedCase
@@ -28,7 +28,7 @@ def test_a_fault_is_in_the_readings_and_nothing_else(tmp_path: Path) -> None:
     assert joint == 2 and np.allclose(readings["q2_rad"], 1.04 * before["q2_rad"])
 
 
-@pytest.mark.parametrize("name", stickslip.SIZES)
+@mark.parametrize("name", stickslip.SIZES)
 def test_a_stated_size_is_what_is_put_into_the_readings(name: str) -> None:
     """Angle, rate, torque and acceleration grow with time; so an offset is a difference, a scale a quotient."""
     ((size, value),) = stickslip.SIZES[name].items()
@@ -40,7 +40,7 @@ def test_a_stated_size_is_what_is_put_into_the_readings(name: str) -> None:
     now, then = columns[changed][-1], before[changed][-1]
     put_in = now / then - 1.0 if size == "scale_error" else now - then
     late = -put_in / 2.0 if size in ("delay", "skew") else put_in
-    assert late == pytest.approx(value)
+    assert late == approx(value)
 
 
 @needs_records
@@ -55,7 +55,7 @@ def test_a_real_record_is_spoilt_in_one_column_and_nowhere_else(tmp_path: Path) 
     assert not json.loads((tmp_path / "a0.untouched-3.truth.json").read_text())["effects"]
 
 
-@pytest.mark.parametrize("verdict, before, now, found, inside", [
+@mark.parametrize("verdict, before, now, found, inside", [
     ("named", 0.0, (0.021, 0.018, 0.024), 1, "1/1"), ("named", 0.0, (0.026, 0.023, 0.029), 1, "0/1"),
     ("named", 0.005, (0.026, 0.023, 0.029), 1, "1/1"),  # some was there before
     ("unexplained", 0.0, (0.021, 0.018, 0.024), 0, "-"), ("none", 0.0, None, 0, "-")])
@@ -86,8 +86,8 @@ def test_a_fault_that_was_named_before_counts_only_where_it_grew_by_what_was_put
     assert records.is_found(spoilt, plain, True) and not records.is_found(spoilt, plain, False)
 
 
-@pytest.mark.slow
-def test_a_healthy_leg_of_heavy_friction_raises_no_alarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@mark.slow
+def test_a_healthy_leg_of_heavy_friction_raises_no_alarm(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     """Three times the family's friction, which MuJoCo's solver rounds off over 0.05 rad/s and more; taken for sharp, it
     left the verdict `unexplained` on both legs tried."""
     record = servo.record
@@ -107,9 +107,9 @@ def test_ten_small_faults_are_there_beside_what_is_hidden() -> None:
     plant = several_faults.together([servo.MAKERS["torque_delay"](1.0), servo.MAKERS["torque_delay"](0.1),
                                    servo.MAKERS["joint_stiffness"](1.0), servo.MAKERS["quadratic_drag"](2.0),
                                    servo.MAKERS["gyro_bias"](1.0)])
-    assert plant.late_s == {"tau2_nm": pytest.approx(0.0066)}
-    assert plant.spring[0] == (0.0, 0.0) and plant.spring[1] == pytest.approx((0.35, 0.2))
-    assert plant.law(np.zeros(2), np.array([0.0, 1.0]), 0.0, 0.0) == pytest.approx((0.0, -0.06))
+    assert plant.late_s == {"tau2_nm": approx(0.0066)}
+    assert plant.spring[0] == (0.0, 0.0) and plant.spring[1] == approx((0.35, 0.2))
+    assert plant.law(np.zeros(2), np.array([0.0, 1.0]), 0.0, 0.0) == approx((0.0, -0.06))
     columns = {"gyro_radps": np.zeros(3)}
     plant.logged(columns)
     assert np.allclose(columns["gyro_radps"], 0.03)
@@ -142,7 +142,7 @@ def test_a_geared_leg_logs_its_faults_and_nothing_else() -> None:
     assert all(np.array_equal(plain[name], biased[name]) for name in plain if name != "gyro_radps")
 
 
-@pytest.mark.parametrize("name", outside.MAKERS)
+@mark.parametrize("name", outside.MAKERS)
 def test_a_cause_outside_the_library_acts_and_has_no_name(name: str) -> None:
     """At some state its torque is another than none, or its readings are others than a healthy leg's."""
     plant = outside.MAKERS[name](1.0)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
+from pytest import MonkeyPatch, mark
 
 from evidence.blind import run
 from evidence.blind.plan import PlannedCase
@@ -16,13 +16,13 @@ from tests.support.paths import ROOT
 CASE = PlannedCase("bench", "deleted torque_offset", 1)
 
 
-def stub(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+def stub(monkeypatch: MonkeyPatch, program: str) -> None:
     """The command is replaced: what a diagnosis costs is not the matter here."""
     monkeypatch.setattr(run, "command_of", lambda case, cases, answer, share: [
         sys.executable, "-c", program, "--json", str(answer)])
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_deleted_effect_is_gone_from_the_command_s_library(tmp_path: Path) -> None:
     def effects(*command: str) -> list[str]:
         file = tmp_path / "effects.json"
@@ -43,7 +43,7 @@ def test_a_deleted_case_is_diagnosed_without_its_effect() -> None:
     assert run.WITHOUT not in run.command_of(PlannedCase("bench", "single torque_offset", 1), Path("c"), Path("a"))
 
 
-def test_an_answer_is_kept_with_its_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_is_kept_with_its_times(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     stub(monkeypatch, "import json,os,sys,time\nwhile time.process_time() < 0.2: pass\n"
                       "json.dump({'verdict': 'none', 'causes': [], 'session': os.getsid(0)}, open(sys.argv[2], 'w'))")
     found = run.diagnose(CASE, tmp_path, tmp_path)
@@ -53,10 +53,10 @@ def test_an_answer_is_kept_with_its_times(tmp_path: Path, monkeypatch: pytest.Mo
     assert found["session"] != os.getsid(0), "an interrupt of the bench would reach the diagnosis"
 
 
-@pytest.mark.parametrize("program, limit_s, said", [("raise SystemExit('broken')", run.LIMIT_S, "broken"),
+@mark.parametrize("program, limit_s, said", [("raise SystemExit('broken')", run.LIMIT_S, "broken"),
                                                     ("import time; time.sleep(60)", 0.5, ".*not done.*")])
 def test_a_crash_and_a_diagnosis_past_its_limit_are_recorded(program: str, limit_s: float, said: str, tmp_path: Path,
-                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+                                                             monkeypatch: MonkeyPatch) -> None:
     stub(monkeypatch, program)
     found = run.diagnose(CASE, tmp_path, tmp_path, limit_s=limit_s)
     assert found["verdict"] == "fit_failed" and found["bench"]["crashed"]

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 from msgspec import structs
+from pytest import approx, fixture, mark, raises
 
 from daq import InputError, load_rig
 from estimator import Diagnosis, Verdict
@@ -23,12 +23,12 @@ from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
 from tests.support.shell import Shell, typed
 
-_with_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+_with_records = mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 
 
 def needs_records(test: Callable[..., None]) -> Callable[..., None]:
     """A study of minutes: `make test-study`."""
-    return pytest.mark.study(_with_records(test))
+    return mark.study(_with_records(test))
 
 
 def test_every_rig_file_shipped_is_valid_and_used() -> None:
@@ -52,14 +52,14 @@ def test_no_code_knows_a_data_set_by_name() -> None:
 
 def test_a_folder_without_known_records_is_refused(tmp_path: Path, shell: Shell) -> None:
     assert "known folders" in shell.fails("casebook", tmp_path)
-    with pytest.raises(InputError, match="extra"):
+    with raises(InputError, match="extra"):
         (tmp_path / "cases.toml").write_text("[[case]]\ntitle = 'a'\nfolder = 'b'\nsource = ''\nknown = ''\nextra = 1")
         load_cases(tmp_path / "cases.toml")
     (tmp_path / load_cases()[0].folder).mkdir()
     assert cases_in(tmp_path, load_cases()) == [load_cases()[0]]
 
 
-@pytest.mark.parametrize("verdict, effects, agrees", [
+@mark.parametrize("verdict, effects, agrees", [
     ("named", ["asymmetric_friction", "torque_delay"], True), ("named", ["torque_delay"], False),
     ("partial", ["asymmetric_friction"], True),
     ("one_of", ["asymmetric_friction", "torque_offset"], False), ("none", [], False)])
@@ -69,7 +69,7 @@ def test_only_a_cause_that_is_named_agrees(verdict: Verdict, effects: list[str],
     assert Diagnosed(task, Diagnosis(verdict, "", causes), "").agrees() is agrees
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def book(module_path: Path) -> tuple[dict[str, Any], str]:
     """JSON by folder, and the page."""
     wanted = [word for name in ("emps", "multiarm", "song_imu", "bam_xl330") for word in ("--only", name)]
@@ -82,8 +82,8 @@ def book(module_path: Path) -> tuple[dict[str, Any], str]:
 def test_published_least_squares_of_the_prismatic_axis_are_reproduced(book: tuple[dict[str, Any], str]) -> None:
     fit = book[0]["emps"]["fits"][0]
     published = {"beta1": 95.1089, "beta2": 203.5034, "beta3": 20.3935, "torque_offset_1": -3.1648}
-    assert fit["found"] == pytest.approx(published, rel=0.005)
-    assert fit["relative_error_percent"] == pytest.approx([4.0834], abs=0.1)
+    assert fit["found"] == approx(published, rel=0.005)
+    assert fit["relative_error_percent"] == approx([4.0834], abs=0.1)
 
 
 @needs_records
@@ -95,7 +95,7 @@ def test_friction_that_differs_by_direction_is_named_and_gains(book: tuple[dict[
     for name, published in found["published"].items():
         low, high = sizes[name]["ci95"]
         assert low < published < high
-    assert sizes["viscous_difference"]["value"] == pytest.approx(-73.72, rel=0.05)
+    assert sizes["viscous_difference"]["value"] == approx(-73.72, rel=0.05)
     assert sizes["viscous_difference"]["unit"] == "N s/m"  # a slide
     free = found["free_run_rmse"]["q1_m"]
     assert free["after"] < 0.2 * free["before"]
@@ -123,7 +123,7 @@ def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(book
     both, viscous, coulomb, without = book[0]["multiarm"]["fits"]
     published = {"beta1": 5.6485e-3, "beta2": 3.1453e-3, "beta3": 2.7754e-3, "beta4": 0.03395, "beta5": 0.01607}
     for fit in (both, viscous, coulomb):
-        assert {name: fit["found"][name] for name in published} == pytest.approx(published, rel=0.02)
+        assert {name: fit["found"][name] for name in published} == approx(published, rel=0.02)
     assert both["found"]["beta8"] > 5 * both["std"]["beta8"]  # Coulomb friction at the pivot, beside viscous
     assert coulomb["torque_residual_rms"][0] < viscous["torque_residual_rms"][0]
     assert "up to a common factor only: give one, e.g. --fix beta5=VALUE" in without["refused"]
@@ -135,14 +135,14 @@ def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tupl
     (refused,) = book[0]["song_imu"]["fits"]
     assert "tau1_nm is missing" in refused["refused"]
     (calibrated,) = book[0]["song_imu"]["calibrations"]  # by the data's README: gain .985, about -.0006 rad/s
-    assert calibrated["found"]["gyro_scale"]["value"] == pytest.approx(-0.015, abs=0.0015)
+    assert calibrated["found"]["gyro_scale"]["value"] == approx(-0.015, abs=0.0015)
     assert calibrated["rms"]["angle_rad"]["after"] < 0.5 * calibrated["rms"]["angle_rad"]["before"]
     assert calibrated["rms"]["angle_rad"]["before"] < calibrated["published_angle_rms_rad"]
     runs = [str(DATA / "bam_xl330" / "kp100_sin_sin.csv.gz")]
     assert "tau1_nm is missing" in shell.fails("fit", *runs, "--rig", RIGS / "song_imu.toml")
     fit = book[0]["bam_xl330"]["fits"][0]  # beside the data's README: 5.575 V gravity, .438 V s/rad, .0766 V s2/rad
-    assert 9.81 * fit["found"]["beta2"] == pytest.approx(5.575, rel=0.1)
-    assert fit["found"]["beta3"] == pytest.approx(0.438, rel=0.15)
+    assert 9.81 * fit["found"]["beta2"] == approx(5.575, rel=0.1)
+    assert fit["found"]["beta3"] == approx(0.438, rel=0.15)
 
 
 @needs_records
@@ -157,7 +157,7 @@ def test_the_page_says_where_the_program_disagrees(book: tuple[dict[str, Any], s
 
 
 @needs_records
-@pytest.mark.parametrize("folder", ["dfki_c0", "dfki_a0"])
+@mark.parametrize("folder", ["dfki_c0", "dfki_a0"])
 def test_the_default_method_does_not_shrink_as_the_bandwidth_grows(folder: str) -> None:
     (case,) = (case for case in load_cases() if case.folder == folder)
     (task,) = case.sweep

@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import MonkeyPatch, approx, mark, raises
 
 from estimator import fit
 from estimator.fitting import design_rows
@@ -33,8 +33,8 @@ def test_noise_is_that_of_table_ii_and_depends_on_seed_case_and_run_alone() -> N
     step = one_step().in_motor_angles()
     angle = np.concatenate([noisy_record(step, CASES[3], 5, k)["q1_rad"] - step.q[:, 0] for k in range(60)])
     torque = np.concatenate([noisy_record(step, CASES[3], 5, k)["tau3_nm"] - step.torque[:, 2] for k in range(60)])
-    assert np.var(angle) == pytest.approx(1e-4, rel=0.06)
-    assert np.var(torque) == pytest.approx(0.1, rel=0.06)
+    assert np.var(angle) == approx(1e-4, rel=0.06)
+    assert np.var(torque) == approx(0.1, rel=0.06)
     first, again, other = (noisy_record(step, CASES[3], seed, 7)["q1_rad"] for seed in (5, 5, 6))
     assert_array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -71,7 +71,7 @@ def test_bound_grows_with_noise() -> None:
     assert all(np.all(a <= b * (1 + 1e-9)) for a, b in itertools.pairwise(spread))
 
 
-def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     work = blocks(CASES[:1], [FLOOR], 150, 2)
     whole = store.run_study(work, tmp_path / "whole", SerialExecutor(), lambda block, count: None)
     asked: list[Block] = []
@@ -83,7 +83,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypat
         return run_block(block)
 
     monkeypatch.setattr(store, "run_block", dies_after_two)
-    with pytest.raises(KeyboardInterrupt):
+    with raises(KeyboardInterrupt):
         store.run_study(work, tmp_path / "part", SerialExecutor(), lambda block, count: None)
     (tmp_path / "part" / f"{work[1].name}.npz").write_bytes(b"half a file")
     redone = []
@@ -118,7 +118,7 @@ def test_command_writes_table_report_and_runs(tmp_path: Path, shell: Shell) -> N
     assert {"beta1", "beta8_std", "summed_squared_error_rad2"} <= set(runs)
 
 
-@pytest.mark.parametrize("arguments", [["--runs", "0"], ["--cases", "6"], ["--methods", "magic"],
+@mark.parametrize("arguments", [["--runs", "0"], ["--cases", "6"], ["--methods", "magic"],
                                        ["--workers", "2", "--cluster", "tcp://x:1"]])
 def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], shell: Shell) -> None:
     shell("monte-carlo biped3", *arguments, status=2)
@@ -135,14 +135,14 @@ def test_paper_table_has_four_cases_by_method() -> None:
 
 def test_the_printed_protocol_has_the_prints_floor_and_ours_has_none() -> None:
     assert error_of_truth(OURS) < 1e-9
-    assert error_of_truth(PRINTED) == pytest.approx(PAPER["mle"][0][0], rel=0.05)
+    assert error_of_truth(PRINTED) == approx(PAPER["mle"][0][0], rel=0.05)
 
 
 def test_under_the_printed_protocol_mle_errs_as_printed_and_rls_less_in_case_2() -> None:
     """The excess over the true parameters is nothing for MLE and negative for RLS, as in the print."""
     found = {m: run_block(Block(CASES[1], m, 0, 20, 3, PRINTED)).error for m in ("mle", "rls")}
-    assert np.mean(found["mle"]) == pytest.approx(PAPER["mle"][1][0], rel=0.25)
-    assert np.mean(found["rls"]) == pytest.approx(PAPER["rls"][1][0], rel=0.4)
+    assert np.mean(found["mle"]) == approx(PAPER["mle"][1][0], rel=0.25)
+    assert np.mean(found["rls"]) == approx(PAPER["rls"][1][0], rel=0.4)
 
 
 def test_blocks_of_two_protocols_are_kept_apart() -> None:

@@ -4,8 +4,8 @@ import json
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from experiments.cli import main
 from experiments.workflows.executor import SerialExecutor
@@ -41,7 +41,7 @@ def test_kill_9_half_way_loses_nothing(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     for block in (WORK[0], WORK[-1]):
         found = store.load_block(kept, block)
-        np.testing.assert_array_equal(found.beta, run_block(block).beta)
+        assert_array_equal(found.beta, run_block(block).beta)
     rows = json.loads((tmp_path / "table.json").read_text())["results"]
     assert {row["method"]: row["runs"] for row in rows} == {"wls": 300, "floor": 300}
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.fitting import known_noise
-from estimator.fitting.fit_each import fit_each
+from estimator.fitting import fit_each, known_noise
 from estimator.fitting.profile_likelihood import search
 from estimator.likelihood import BatchProblem, Records
 from estimator.signals import split_signals

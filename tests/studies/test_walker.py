@@ -1,15 +1,15 @@
 """The study's walker: its parameters, its impact, its controller and its record."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, fixture
 
 from estimator.model import biped3
 from studies import walker
 from studies.rk4_free_run import advance, free_runs
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def step() -> walker.Step:
     return walker.one_step()
 
@@ -21,7 +21,7 @@ def test_parameters_are_those_of_the_paper() -> None:
 
 def test_record_is_068_s_at_100_hz_and_obeys_the_model(step: walker.Step) -> None:
     assert len(step.time_s) == 69
-    assert step.time_s[-1] == pytest.approx(0.68)
+    assert step.time_s[-1] == approx(0.68)
     tau = biped3().inverse_dynamics(step.q, step.qd, step.qdd, walker.true_parameters())
     assert_allclose(tau, step.torque, atol=1e-9)
     assert np.all(step.torque[:, 0] == 0.0)
@@ -49,7 +49,7 @@ def test_gait_repeats_itself() -> None:
         last = q, qd
         q, qd = advance(mechanism, beta, q, qd, walker.control(mechanism, beta, q, qd), walker.PERIOD_S, 2)
     share = (walker.IMPACT_RAD - last[0][0]) / (q[0] - last[0][0])
-    assert last[1][0] + share * (qd[0] - last[1][0]) == pytest.approx(rate, abs=1e-5)
+    assert last[1][0] + share * (qd[0] - last[1][0]) == approx(rate, abs=1e-5)
 
 
 def test_impact_loses_energy_and_keeps_momentum_about_the_new_foot() -> None:
@@ -62,7 +62,7 @@ def test_impact_loses_energy_and_keeps_momentum_about_the_new_foot() -> None:
         return float(0.5 * rates @ mechanism.inertia_matrix(at, beta) @ rates)
 
     assert energy(q, after) < energy(landing, before)
-    assert momentum(q, after, np.zeros(2)) == pytest.approx(momentum_before(before), rel=1e-9)
+    assert momentum(q, after, np.zeros(2)) == approx(momentum_before(before), rel=1e-9)
 
 
 def masses(theta: np.ndarray, rates: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:

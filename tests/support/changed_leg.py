@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evidence.blind.servo import write_case
-from evidence.blind.stickslip import Readings, as_read
+from evidence.blind.servo import Readings, write_case
+from evidence.blind.stickslip import as_read
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.stick_slip_leg import TICK_S, move
 

@@ -5,17 +5,14 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import pytest
+from pytest import approx, fixture, mark
 
-from daq import FloatArray
-from daq.dataset import Dataset
-from estimator.calibration.column_faults import find_remedies
-from estimator.calibration.imu_faults import read_imu, wrong_lever
-from estimator.model.chain import chain
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset, FloatArray
+from estimator import FitOptions
+from estimator.calibration import find_remedies, read_imu, wrong_lever
+from estimator.model import chain, leg2
 from estimator.signals import lowpass
-from experiments.session.suspicion import Suspicion, suspect
+from experiments.session import Suspicion, suspect
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 
@@ -33,7 +30,7 @@ def scaled(factor: float, *columns: str) -> Spoil:
     return {c: partial(by_factor, c) for c in columns}
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def leg_and_run() -> tuple[Leg, Dataset]:
     rng = np.random.default_rng(5)
     leg = random_leg(rng)
@@ -44,7 +41,7 @@ def spoilt(run: Dataset, by: Spoil) -> Dataset:
     return replace(run, columns={**run.columns, **{name: make(run) for name, make in by.items()}})
 
 
-@pytest.mark.parametrize("by, named", [
+@mark.parametrize("by, named", [
     ({}, ""),
     (negated("tau2_nm"), "tau2_nm looks negated"),
     (negated("q2_rad"), "q2_rad looks negated"),
@@ -55,7 +52,7 @@ def spoilt(run: Dataset, by: Spoil) -> Dataset:
     (scaled(1 / 9.0, "q2_rad"), "q2_rad looks divided by the gear ratio twice"),
     (scaled(1.25, "q2_rad"), "times too large"),
 ])
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_the_knees_columns(by: Spoil, named: str, sensors: str, leg_and_run: tuple[Leg, Dataset]) -> None:
     leg, run = leg_and_run
     now, found = find_remedies([spoilt(run, by)], leg2(lever_arm=leg.lever), FitOptions(sensors=sensors), 9.0)
@@ -71,10 +68,10 @@ def test_counts_of_the_knees_encoder_are_measured(leg_and_run: tuple[Leg, Datase
     counts = spoilt(run, scaled(4096 / (2.0 * np.pi), "q2_rad"))
     _, found = find_remedies([counts], leg2(lever_arm=leg.lever), FitOptions(sensors="encoder"))
     assert "times too large" in found[0].remedy.what and "a count" in found[0].remedy.write
-    assert found[0].remedy.angles[1, 1] == pytest.approx(2.0 * np.pi / 4096, rel=0.05)
+    assert found[0].remedy.angles[1, 1] == approx(2.0 * np.pi / 4096, rel=0.05)
 
 
-@pytest.mark.parametrize("by, named", [
+@mark.parametrize("by, named", [
     ({"q1_rad": lambda d: d["q1_rad"] + np.pi}, "counted from upright"),
     (scaled(DEGREES, "q1_rad", "q2_rad"), "q1_rad and q2_rad look in degrees"),
     ({"q1_rad": lambda d: d["q2_rad"], "q2_rad": lambda d: d["q1_rad"]}, "interchanged"),
@@ -92,7 +89,7 @@ def test_a_torque_of_the_wrong_scale_is_not_guessed_at(leg_and_run: tuple[Leg, D
     assert not found and not now.faults
 
 
-@pytest.mark.parametrize("by, named", [
+@mark.parametrize("by, named", [
     (negated("accel_x_mps2"), ["accel_x_mps2 looks negated"]),
     (negated("accel_y_mps2"), ["accel_y_mps2 looks negated"]),
     (negated("gyro_radps"), ["gyro_radps looks negated"]),
@@ -121,7 +118,7 @@ def test_the_imu_contradicts_itself(by: Spoil, named: list[str], leg_and_run: tu
 def test_an_accelerometer_in_counts_is_measured_by_gravity(leg_and_run: tuple[Leg, Dataset]) -> None:
     leg, run = leg_and_run
     _, found = read_imu([spoilt(run, scaled(16384 / 9.81, "accel_x_mps2", "accel_y_mps2"))], leg.lever, 9.81)
-    assert "times too large" in str(found[0]) and found[0].axes[0, 0] == pytest.approx(9.81 / 16384, rel=0.1)
+    assert "times too large" in str(found[0]) and found[0].axes[0, 0] == approx(9.81 / 16384, rel=0.1)
 
 
 def test_an_imu_that_is_right_and_one_whose_lever_arm_is_not(leg_and_run: tuple[Leg, Dataset]) -> None:
@@ -136,7 +133,7 @@ def test_an_imu_that_is_right_and_one_whose_lever_arm_is_not(leg_and_run: tuple[
     assert "looks 0.2 m from the pivot" in said and "lever_arm_m" in said
 
 
-@pytest.mark.parametrize("columns, named", [
+@mark.parametrize("columns, named", [
     (["accel_x_mps2"], "accel_x_mps2 looks negated: "), (["gyro_radps"], "gyro_radps looks negated: ")])
 def test_the_knee_tells_a_reading_from_its_mirror_image(columns: list[str], named: str,
                                                         leg_and_run: tuple[Leg, Dataset]) -> None:
@@ -159,7 +156,7 @@ def chain_of_three(seed: int, seconds: float, share: float, third: float = 1.0, 
     return disturbed(move(tree, tau, 100.0, start=([0.8, 0.2, 0.1], [0.0] * 3)), (1, 2), 100.0, rng)
 
 
-@pytest.mark.parametrize("seed", [1, 7])
+@mark.parametrize("seed", [1, 7])
 def test_a_joint_that_hardly_turns_is_read_as_it_stands(seed: int) -> None:
     """Its friction holds it to 0.02 rad; with the sign turned the residual is a third larger."""
     run, mechanism = chain_of_three(seed, 3.0, 0.5, 0.7, 0.3), chain(3, actuated=(1, 2))
@@ -168,7 +165,7 @@ def test_a_joint_that_hardly_turns_is_read_as_it_stands(seed: int) -> None:
     assert suspect([run], mechanism, FitOptions(sensors="encoder"), 1.0, True) == Suspicion()
 
 
-@pytest.mark.parametrize("seed, seconds", [(81, 2.0), (84, 2.0), (87, 3.0)])
+@mark.parametrize("seed, seconds", [(81, 2.0), (84, 2.0), (87, 3.0)])
 def test_a_factor_that_predicts_no_other_part_of_the_record_is_not_named(seed: int, seconds: float) -> None:
     """A gear's friction of 1 N m that grows with the torque: a factor of 1.3 imitates it in 2 s."""
     run = chain_of_three(seed, seconds, 0.4)
@@ -177,7 +174,7 @@ def test_a_factor_that_predicts_no_other_part_of_the_record_is_not_named(seed: i
     assert not find_remedies([rubbing], chain(3, actuated=(1, 2)), FitOptions(sensors="encoder"))[1]
 
 
-@pytest.mark.parametrize("by, named", [
+@mark.parametrize("by, named", [
     (scaled(1.0 / 0.6, "q3_rad"), "q3_rad looks 1.6"), (scaled(DEGREES, "q3_rad"), "q3_rad looks in degrees"),
     (negated("tau2_nm"), "tau2_nm looks negated")])
 def test_a_chain_that_moves_shows_its_columns(by: Spoil, named: str) -> None:

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
-from daq.dataset import Dataset
-from estimator.calibration.distance_meter import DistanceMeter, angle_record
-from estimator.errors import FitError
-from estimator.fitting.fit import fit
-from studies.biped3.study import CASES, case_options, noisy_record, truth
+from daq import Dataset
+from estimator import FitError, fit
+from estimator.calibration import DistanceMeter, angle_record
+from studies.biped3 import CASES
+from studies.biped3.study import case_options, noisy_record, truth
 from studies.walker import motor_mechanism, one_step
 
 METER = DistanceMeter(mount_m=0.6, gamma_rad=0.5, sigma_m=1e-3, sigma_per_m=2e-3)
@@ -24,19 +25,19 @@ def ray_length(angle: float, meter: DistanceMeter) -> float:
     return float(-sensor[1] / beam[1])
 
 
-@pytest.mark.parametrize("angle", [-0.6, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.6])
+@mark.parametrize("angle", [-0.6, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.6])
 def test_distance_is_the_length_of_the_ray(angle: float) -> None:
-    assert METER.distance(np.array(angle)) == pytest.approx(ray_length(angle, METER), rel=1e-12)
+    assert METER.distance(np.array(angle)) == approx(ray_length(angle, METER), rel=1e-12)
 
 
 def test_angle_inverts_distance_on_both_sides_of_upright() -> None:
     angles = np.linspace(-0.6, 0.9, 301)
-    np.testing.assert_allclose(METER.angle(METER.distance(angles)), angles, atol=1e-7)
+    assert_allclose(METER.angle(METER.distance(angles)), angles, atol=1e-7)
 
 
 def test_branches_meet_where_the_leg_is_upright() -> None:
     upright = METER.mount_m / np.cos(METER.gamma_rad)
-    np.testing.assert_allclose(METER.angle(np.array([upright * 0.999999, upright, upright * 1.000001])), 0, atol=1e-5)
+    assert_allclose(METER.angle(np.array([upright * 0.999999, upright, upright * 1.000001])), 0, atol=1e-5)
 
 
 def test_noise_grows_with_distance_and_reaches_the_angle_as_predicted() -> None:
@@ -44,18 +45,18 @@ def test_noise_grows_with_distance_and_reaches_the_angle_as_predicted() -> None:
     for angle in (-0.4, 0.1, 0.5):
         read = METER.read(np.full(40_000, angle), rng)
         distance = METER.distance(np.array(angle))
-        assert np.std(read) == pytest.approx(1e-3 + 2e-3 * distance, rel=0.02)
-        assert np.std(METER.angle(read)) == pytest.approx(METER.angle_sigma(distance), rel=0.03)
+        assert np.std(read) == approx(1e-3 + 2e-3 * distance, rel=0.02)
+        assert np.std(METER.angle(read)) == approx(METER.angle_sigma(distance), rel=0.03)
 
 
 def test_a_beam_that_misses_the_ground_reads_infinity() -> None:
     assert np.isinf(METER.distance(np.array(-1.2)))
 
 
-@pytest.mark.parametrize("wrong", [{"mount_m": 0.0, "gamma_rad": 0.5}, {"mount_m": 1.0, "gamma_rad": 1.6},
+@mark.parametrize("wrong", [{"mount_m": 0.0, "gamma_rad": 0.5}, {"mount_m": 1.0, "gamma_rad": 1.6},
                                    {"mount_m": 1.0, "gamma_rad": 0.5, "sigma_m": -1.0}])
 def test_impossible_geometry_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError):
+    with raises(ValueError):
         DistanceMeter(**wrong)
 
 
@@ -83,7 +84,7 @@ def test_walker_is_identified_through_the_meter_whose_noise_grows() -> None:
         alike = {name: values for name, values in record.columns.items() if name != "q1_sigma_rad"}
         flat.append((fit([replace(record, columns=alike)], MECHANISM, known).beta - truth()) / result.std)
     print(np.ptp(record["q1_sigma_rad"]) / level, np.sqrt(np.mean(np.square(off))), np.sqrt(np.mean(np.square(flat))))
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    assert np.sqrt(np.mean(np.square(off))) == approx(1.0, abs=0.25)
     assert np.mean(np.square(off)) < 0.97 * np.mean(np.square(flat))
 
 
@@ -93,12 +94,12 @@ def test_the_step_search_weighs_readings_as_the_short_one_does() -> None:
     noise = {**OPTIONS.noise, "encoder1_rad": float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))}
     short = fit([record], MECHANISM, replace(OPTIONS, noise=noise))
     stepped = fit([record], MECHANISM, replace(OPTIONS, noise=noise, fixed={"beta2": float(short.beta[1])}))
-    np.testing.assert_allclose(stepped.beta, short.beta, rtol=0.02)
+    assert_allclose(stepped.beta, short.beta, rtol=0.02)
 
 
 def test_a_beam_that_misses_is_refused() -> None:
     data = Dataset("run", 100.0, np.arange(3) / 100.0, {"distance_m": np.array([0.7, np.inf, 0.7])})
-    with pytest.raises(FitError, match="missed the ground at 1 sample"):
+    with raises(FitError, match="missed the ground at 1 sample"):
         angle_record(data, METER)
-    with pytest.raises(FitError, match="no column distance_m"):
+    with raises(FitError, match="no column distance_m"):
         angle_record(Dataset("run", 100.0, np.arange(3) / 100.0, {"q1_rad": np.zeros(3)}), METER)

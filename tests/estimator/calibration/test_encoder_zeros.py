@@ -4,14 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
+from pytest import approx, fixture, raises
 
-from daq.dataset import Dataset
-from daq.runs.csv_run import write_csv
-from estimator.calibration.encoder_zeros import differing_text, find_differing, find_zeros, subtract
-from estimator.errors import FitError
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from daq import Dataset
+from daq.runs import write_csv
+from estimator import FitError, FitOptions
+from estimator.calibration import differing_text, find_differing, find_zeros, subtract
+from estimator.model import leg2
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell, document
 
@@ -32,12 +31,12 @@ def shifted(data: Dataset, by: np.ndarray) -> Dataset:
     return replace(data, columns={**data.columns, **{f"q{j + 1}_rad": data[f"q{j + 1}_rad"] + by[j] for j in range(2)}})
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def plain() -> list[Dataset]:
     return [record(LEG, np.random.default_rng(800 + k), seconds=12.0, name=f"r{k}") for k in range(4)]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def runs(plain: list[Dataset]) -> list[Dataset]:
     return [shifted(data, by) for data, by in zip(plain, SHIFTS)]
 
@@ -46,24 +45,24 @@ def test_zeros_are_found_together_with_the_parameters(runs: list[Dataset], plain
     mechanism, options = leg2(), FitOptions(sensors="encoder")
     found = find_zeros(runs, mechanism, options, (0, 1))
     wanted = SHIFTS - SHIFTS.mean(axis=0)
-    assert found.values == pytest.approx(wanted, abs=4e-3)
+    assert found.values == approx(wanted, abs=4e-3)
     assert np.all(found.std < 4e-3) and np.all(found.std > 0.0)
     back = subtract(runs, mechanism, found)
     for data, before in zip(back, plain):
         for j in range(2):
-            assert data[f"q{j + 1}_rad"] - before[f"q{j + 1}_rad"] == pytest.approx(SHIFTS[:, j].mean(), abs=4e-3)
+            assert data[f"q{j + 1}_rad"] - before[f"q{j + 1}_rad"] == approx(SHIFTS[:, j].mean(), abs=4e-3)
 
 
 def test_a_known_model_places_a_single_run(runs: list[Dataset]) -> None:
     found = find_zeros(runs[:1], leg2(), FitOptions(sensors="encoder"), (0, 1), LEG.beta())
-    assert found.values[0] == pytest.approx(SHIFTS[0], abs=4e-3)
+    assert found.values[0] == approx(SHIFTS[0], abs=4e-3)
 
 
 def test_the_knee_alone_where_the_imu_gives_the_pivot(runs: list[Dataset]) -> None:
     mechanism, options = leg2(lever_arm=LEG.lever), FitOptions(sensors="imu")
     found = find_zeros(runs, mechanism, options, (1,))
-    assert found.values[:, 0] == pytest.approx(SHIFTS[:, 1] - SHIFTS[:, 1].mean(), abs=4e-3)
-    with pytest.raises(FitError, match="joint 1, which has no encoder on the imu path"):
+    assert found.values[:, 0] == approx(SHIFTS[:, 1] - SHIFTS[:, 1].mean(), abs=4e-3)
+    with raises(FitError, match="joint 1, which has no encoder on the imu path"):
         find_zeros(runs, mechanism, options, (0,))
 
 
@@ -73,7 +72,7 @@ def test_one_run_says_nothing_of_differences(runs: list[Dataset]) -> None:
 
 def test_without_motion_there_is_nothing_to_find() -> None:
     rest = record(LEG, np.random.default_rng(1), seconds=4.0, tau=np.zeros(400), name="rest")
-    with pytest.raises(FitError, match="zeros are not to be found"):
+    with raises(FitError, match="zeros are not to be found"):
         find_zeros([rest, rest], leg2(), FitOptions(sensors="encoder"), (0, 1))
 
 
@@ -82,7 +81,7 @@ def test_zeros_that_differ_are_noticed_and_others_are_not(runs: list[Dataset], p
                                        (leg2(lever_arm=LEG.lever), FitOptions(sensors="imu"), (1,))):
         found = find_differing(runs, mechanism, options)
         assert found is not None and found.joints == joints
-        assert found.spread == pytest.approx(np.std(SHIFTS[:, list(joints)], axis=0, ddof=1), rel=0.15)
+        assert found.spread == approx(np.std(SHIFTS[:, list(joints)], axis=0, ddof=1), rel=0.15)
         assert f"encoder_zero = [{', '.join(str(j + 1) for j in joints)}]" in differing_text(found)
         assert find_differing(plain, mechanism, options) is None
         assert find_differing(runs[:3], mechanism, options) is None
@@ -94,7 +93,7 @@ def test_only_a_zero_that_differs_is_declared(plain: list[Dataset]) -> None:
         runs = [shifted(data, by * np.eye(2)[moved]) for data, by in zip(plain, SHIFTS)]
         found = find_differing(runs, mechanism, options)
         assert found.joints == (moved,)
-        assert found.spread == pytest.approx(np.std(SHIFTS[:, [moved]], axis=0, ddof=1), rel=0.15)
+        assert found.spread == approx(np.std(SHIFTS[:, [moved]], axis=0, ddof=1), rel=0.15)
 
 
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,

@@ -7,18 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pytest
+from pytest import fixture, mark
 
-from daq.dataset import Dataset
+from daq import Dataset
+from estimator import FitOptions
 from estimator.calibration.windows import CLEAR
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
+from estimator.model import leg2
 from evidence.blind.excite import draw
 from evidence.blind.leg import GRAVITY, Array, Leg, stack
 from evidence.blind.measure import RATE_HZ, Sensors, disturb, imu
 from evidence.blind.physics import integrate
 from evidence.emulated_legs import SPREAD
-from experiments.session.suspicion import Suspicion, suspect
+from experiments.session import Suspicion, suspect
 
 SECONDS, LEVER_M = 10.0, 0.2
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
@@ -40,7 +40,7 @@ STARTS = {"quiet": Start(), "step": Start(torque_nm=8.0), "stop": Start(knee=(1.
 SEEDS = (1, 2)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def records() -> dict[tuple[str, int], Dataset]:
     """One run of each start and seed, all integrated at once."""
     cases = [(name, seed) for name in STARTS for seed in SEEDS]
@@ -84,14 +84,14 @@ def told(run: Dataset, lever_arm: float, suspected: bool = True) -> Suspicion:
     return suspect([run], leg2(gravity_mps2=GRAVITY, lever_arm=lever_arm), FitOptions(sensors="imu"), 1.0, suspected)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("start", STARTS)
+@mark.parametrize("seed", SEEDS)
+@mark.parametrize("start", STARTS)
 def test_a_right_set_up_is_not_suspected(start: str, seed: int, records: dict[tuple[str, int], Dataset]) -> None:
     for suspected in (False, True):
         assert told(records[start, seed], LEVER_M, suspected) == Suspicion()
 
 
-@pytest.mark.parametrize("spoil, lever_arm, named", [
+@mark.parametrize("spoil, lever_arm, named", [
     (times(-1.0, "tau2_nm"), LEVER_M, "tau2_nm looks negated: "),
     (times(180.0 / np.pi, "q2_rad"), LEVER_M, "q2_rad looks in degrees: "),
     (times(1.0, "q2_rad"), 1.5 * LEVER_M, "the IMU looks 0.2 m from the pivot, not 0.3: "),
@@ -99,7 +99,7 @@ def test_a_right_set_up_is_not_suspected(start: str, seed: int, records: dict[tu
     (times(-1.0, "gyro_radps"), LEVER_M, "gyro_radps looks negated: "),
     (times(-1.0, *IMU[1:]), LEVER_M, "accel_x_mps2 and accel_y_mps2 look negated: "),
 ])
-@pytest.mark.parametrize("start", STARTS)
+@mark.parametrize("start", STARTS)
 def test_a_wrong_set_up_is_named_however_the_record_begins(
         start: str, spoil: Callable[[Dataset], Dataset], lever_arm: float, named: str,
         records: dict[tuple[str, int], Dataset]) -> None:
@@ -109,7 +109,7 @@ def test_a_wrong_set_up_is_named_however_the_record_begins(
         assert "; with it " in seen.remedies[0]
 
 
-@pytest.mark.parametrize("start", STARTS)
+@mark.parametrize("start", STARTS)
 def test_late_samples_are_no_other_reading(start: str, records: dict[tuple[str, int], Dataset]) -> None:
     for spoil in (late(3, "tau2_nm"), late(3, *IMU)):
         assert told(spoil(records[start, SEEDS[1]]), LEVER_M).remedies == ()

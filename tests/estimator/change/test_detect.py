@@ -6,7 +6,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, mark, param, raises, skip
 
 from daq import Dataset, load_rig
 from estimator import FitError, FitOptions
@@ -17,7 +18,8 @@ from estimator.change.verdict import replicates
 from estimator.model import leg2
 from estimator.score import Score, total
 from evidence.blind.records import RECORDS, RIGS
-from evidence.blind.stickslip import MAKERS, Readings
+from evidence.blind.servo import Readings
+from evidence.blind.stickslip import MAKERS
 from evidence.what_changed import runs_of, spoilt
 from experiments.session import prepare
 from experiments.workflows import find_change
@@ -48,14 +50,14 @@ def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_
     assert 0.0 < offset.size < 0.03
 
 
-@pytest.mark.parametrize("name, size, kind", [
+@mark.parametrize("name, size, kind", [
     ("encoder_offset", 0.03, "sensors"), ("gyro_scale", 0.03, "sensors"), ("torque_delay", 0.01, "timing"),
     ("sensor_time_skew", 0.005, "timing")])
 def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: str, tmp_path: Path) -> None:
     found = change_of(*leg_runs(tmp_path, MAKERS[name][0](1.0), seconds=SHORT_S))
     cause = next(c for c in found.causes if c.effect == name)
     assert found.verdict in ("named", "partial", "one_of") and cause.kind == kind
-    assert cause.size[0].value == pytest.approx(size, rel=0.25)
+    assert cause.size[0].value == approx(size, rel=0.25)
     assert sum(found.held_out.gain) > 0.0
 
 
@@ -80,30 +82,30 @@ def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
             compare_sessions(b, a, setup.mechanism, setup.options))
 
 
-@pytest.mark.parametrize("name, size, kind", [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
+@mark.parametrize("name, size, kind", [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
 def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size: float, kind: str, tmp_path: Path
                                                                 ) -> None:
     found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None,
                                           seconds=SHORT_S))
     # standard deviations as exact as the search for them ends, and with them the sizes and their intervals
-    assert (found.verdict, found.structure) == (turned.verdict, pytest.approx(turned.structure, rel=STOP))
+    assert (found.verdict, found.structure) == (turned.verdict, approx(turned.structure, rel=STOP))
     assert [(c.effect, c.joint) for c in found.causes] == [(c.effect, c.joint) for c in turned.causes]
     for one, other in zip(found.causes, turned.causes):
         for there, back in zip(one.size, other.size, strict=True):
             low, high = back.ci95
             near = STOP * (high - low)
-            assert there.value == pytest.approx(-back.value, abs=near)
-            assert there.ci95 == pytest.approx((-high, -low), abs=near)
+            assert there.value == approx(-back.value, abs=near)
+            assert there.ci95 == approx((-high, -low), abs=near)
     if not name:
         assert found.verdict == "no_change" and "No difference" in found.sentence
         return
     cause = next(c for c in found.causes if c.effect == name)
-    assert cause.kind == kind and cause.size[0].value == pytest.approx(size, rel=0.25)
+    assert cause.kind == kind and cause.size[0].value == approx(size, rel=0.25)
     assert len(found.held_out.runs) == 8
 
 
 def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
 
     def noisier(c: Readings) -> None:
         c["gyro_radps"] += rng.normal(scale=0.007, size=c["gyro_radps"].size)  # 0.004 without it
@@ -113,11 +115,11 @@ def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
     assert found.verdict == "named" and (cause.kind, cause.size[0].name) == ("noise", "gyro_radps")
     low, high = cause.size[0].ci95
     assert low < (0.004**2 + 0.007**2) ** 0.5 / 0.004 < high < 3.0
-    assert other.size[0].value == pytest.approx(1.0 / cause.size[0].value)
+    assert other.size[0].value == approx(1.0 / cause.size[0].value)
 
 
-@pytest.mark.parametrize("link, mass, distance", [
-    (1, 0.03, 0.25), (2, 0.15, 0.1), *(pytest.param(*rest, marks=pytest.mark.slow)
+@mark.parametrize("link, mass, distance", [
+    (1, 0.03, 0.25), (2, 0.15, 0.1), *(param(*rest, marks=mark.slow)
                                        for rest in ((1, 0.2, 0.1), (2, 0.02, 0.2)))])
 def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float, distance: float, tmp_path: Path
                                                           ) -> None:
@@ -160,19 +162,19 @@ def test_a_body_that_is_taken_away_is_said_to_be(tmp_path: Path) -> None:
     found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, 2, -0.1, 0.12, -0.1 * 0.02**2),
                                 seconds=SHORT_S))
     assert found.causes[0].sentence == "a body was taken from link 2"
-    assert found.causes[0].size[0].value == pytest.approx(-0.1, rel=0.05)
+    assert found.causes[0].size[0].value == approx(-0.1, rel=0.05)
 
 
 def test_one_run_is_refused_with_a_remedy() -> None:
     time = np.linspace(0.0, 1.99, 200)
     data = Dataset("one", 100.0, time, {})
-    with pytest.raises(FitError, match="give at least 2 of each session"):
+    with raises(FitError, match="give at least 2 of each session"):
         learn_reference([data], leg2(), FitOptions())
     found = compare_sessions([data], [data, data], leg2(), FitOptions())
     assert found.verdict == "fit_failed" and "give at least 2 of each session" in found.sentence
 
 
-def scored(rng: np.random.Generator, rows: np.ndarray, theta: np.ndarray) -> Score:
+def scored(rng: Generator, rows: np.ndarray, theta: np.ndarray) -> Score:
     """A run of white noise."""
     return Score(rows.T @ (rows @ theta + rng.normal(size=len(rows))), rows.T @ rows)
 
@@ -186,18 +188,18 @@ def sessions(run: Callable[[float], Score], count: int) -> tuple[Contrast, Struc
 
 def test_a_contrast_recovers_a_change_with_structure_in_the_reference() -> None:
     """Structure that both sessions have cancels; a change of one column comes back, of white noise's scatter."""
-    rng, columns = np.random.default_rng(3), np.eye(6)
+    rng, columns = default_rng(3), np.eye(6)
     structure = rng.normal(size=6)
     found = sessions(lambda moved: scored(rng, rng.normal(size=(4000, 6)), structure + 0.5 * moved * columns[4]),
                      2)[0].along(columns[:, 4:6])
     size, std = found.size(), np.sqrt(np.diag(found.covariance()))
-    assert size == pytest.approx([0.5, 0.0], abs=0.05) and std.max() < 0.05
+    assert size == approx([0.5, 0.0], abs=0.05) and std.max() < 0.05
 
 
-@pytest.mark.parametrize("own", [0.0, 0.05, 0.3])
+@mark.parametrize("own", [0.0, 0.05, 0.3])
 def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: float) -> None:
     """Sizes of a change that is not there, over their standard deviations, over 40 pairs of sessions."""
-    rng = np.random.default_rng(8)
+    rng = default_rng(8)
     common, scores = rng.normal(size=30), []
     for _ in range(40):
         one, structure = sessions(
@@ -205,12 +207,12 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
         found = one.along(np.eye(30)[:, 9:10])
         scores.append(found.size()[0] / np.sqrt(found.covariance()[0, 0]))
     assert 0.6 < np.std(scores) < 1.4
-    assert structure.own == pytest.approx(own**2 * 400, rel=0.6, abs=0.5)
+    assert structure.own == approx(own**2 * 400, rel=0.6, abs=0.5)
 
 
 def test_a_level_that_all_runs_have_is_no_part_of_a_change() -> None:
     """One column of thirty has six standard deviations of one run in both sessions, such as an unmodelled delay."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     here = np.eye(30)[:, 9:10]
     sizes, held = [], []
     for _ in range(60):
@@ -223,7 +225,7 @@ def test_a_level_that_all_runs_have_is_no_part_of_a_change() -> None:
 
 def test_the_size_of_one_change_is_that_with_the_other_fitted() -> None:
     """Two columns that overlap changed; each size alone would take a part of the other."""
-    rng, columns = np.random.default_rng(6), np.eye(6)
+    rng, columns = default_rng(6), np.eye(6)
 
     def run(moved: float) -> Score:
         rows = rng.normal(size=(4000, 6))
@@ -231,7 +233,7 @@ def test_the_size_of_one_change_is_that_with_the_other_fitted() -> None:
         return scored(rng, rows, moved * (0.3 * columns[4] + 0.2 * columns[5]))
 
     found, _ = sessions(run, 2)
-    assert found.measured(columns[:, 4:5], columns[:, 5:6]).size() == pytest.approx([0.3], abs=0.05)
+    assert found.measured(columns[:, 4:5], columns[:, 5:6]).size() == approx([0.3], abs=0.05)
     assert found.measured(columns[:, 4:5], columns[:, :0]).size()[0] > 0.4
 
 
@@ -240,11 +242,11 @@ def records() -> tuple[Dataset, ...]:
     record = RECORDS["a0"]
     files = [REAL / record.folder / f"{r}.csv.gz" for r in record.runs]
     if not files[0].exists():
-        pytest.skip("needs the real records beside the checkout")
+        skip("needs the real records beside the checkout")
     return prepare(files, load_rig(RIGS / record.rig)).setup.datasets
 
 
-@pytest.mark.parametrize("fault", ["untouched", "torque_delay", "torque_saturation", "encoder_scale"])
+@mark.parametrize("fault", ["untouched", "torque_delay", "torque_saturation", "encoder_scale"])
 def test_a_real_arm_says_what_was_put_into_its_test_runs(fault: str) -> None:
     record, every = RECORDS["a0"], records()
     count = 3
@@ -262,7 +264,7 @@ def test_a_predicted_gain_is_the_ratio_of_the_predictive_densities() -> None:
     """Against normal densities of the readings: mean A d and covariance 1 + A C A^T, and mean 0 and covariance 1."""
     from scipy.stats import multivariate_normal
 
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     own, other = rng.normal(size=(5, 2)), rng.normal(size=(30, 2))
     size = np.array([0.7, -0.4])
     y, z = own @ size + rng.normal(size=5), other @ size + rng.normal(size=30)
@@ -270,7 +272,7 @@ def test_a_predicted_gain_is_the_ratio_of_the_predictive_densities() -> None:
     wanted = 2.0 * (multivariate_normal(own @ known @ other.T @ z, np.eye(5) + own @ known @ own.T).logpdf(y)
                     - multivariate_normal(np.zeros(5), np.eye(5)).logpdf(y))
     found = Score(own.T @ y, own.T @ own).predicted_gain(Score(other.T @ z, other.T @ other))
-    assert found == pytest.approx(wanted, rel=1e-4)
+    assert found == approx(wanted, rel=1e-4)
 
 
 def test_a_run_that_cannot_tell_has_no_vote_and_one_that_contradicts_has() -> None:
@@ -278,7 +280,7 @@ def test_a_run_that_cannot_tell_has_no_vote_and_one_that_contradicts_has() -> No
     assert not replicates([-20.0, 90.0]) and not replicates([-2.0, 1.0])
 
 
-@pytest.mark.skipif(not (REAL / "dfki_c0").exists(), reason="needs the real records next to the checkout")
+@mark.skipif(not (REAL / "dfki_c0").exists(), reason="needs the real records next to the checkout")
 def test_each_motor_of_an_arm_saturates_on_its_own() -> None:
     reference = (1, 2, 3, 6)
     runs = runs_of("c0")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, raises, skip
 
 from daq import Dataset, load_rig
 from estimator import FitError, FitOptions
@@ -24,19 +24,19 @@ from tests.support.paths import REAL
 def test_only_a_rise_beyond_the_scatter_of_runs_counts() -> None:
     reference = LogLevels(4, {"q1_rad": (0.0, 0.04), "q2_rad": (0.0, 0.04)})
     risen = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (1.4, 0.04)}), reference)
-    assert (risen.column, risen.ratio) == ("q2_rad", pytest.approx(np.exp(1.4)))
+    assert (risen.column, risen.ratio) == ("q2_rad", approx(np.exp(1.4)))
     assert risen.p_value < 0.001 and risen.ci95[0] > 2.5
     alike = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
     assert alike.p_value > 0.2
     assert larger_error(LogLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
     paired = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference, comparisons=10)
     alone = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference)
-    assert paired.p_value == pytest.approx(10 * alone.p_value)
+    assert paired.p_value == approx(10 * alone.p_value)
 
 
 def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
     nothing = LogLevels(3, {})
-    with pytest.raises(FitError, match="cannot be compared"):
+    with raises(FitError, match="cannot be compared"):
         larger_error(nothing, nothing)
     found = with_errors(Change("no_change", AGAINST.same), lambda: larger_error(nothing, nothing), AGAINST)
     assert found.verdict == "no_change" and "cannot be compared" in found.warnings[0]
@@ -50,7 +50,7 @@ def test_no_change_says_how_much_more_free_runs_err() -> None:
     assert found.verdict == "no_change" and found.free_runs == rise
     assert "Free runs over 1 s err 4 times" in change_text(ChangeDocument.of(found))
     told = ChangeDocument.of(found).free_runs
-    assert told.ratio == pytest.approx(4.0)
+    assert told.ratio == approx(4.0)
     smaller = with_errors(found, lambda: replace(rise, ratio=2.0, p_value=1.0), AGAINST)
     assert smaller.free_runs == rise
 
@@ -91,7 +91,7 @@ def test_the_fit_without_a_run_is_one_step_away() -> None:
 def test_an_error_that_no_listed_change_takes_is_no_change_no_longer() -> None:
     """The motors of a real arm give less than their currents say, by a law that is not the library's."""
     if not (REAL / RECORDS["c0"].folder).exists():
-        pytest.skip("needs the real records next to the checkout")
+        skip("needs the real records next to the checkout")
     reference = (3, 4, 5, 6)
     every = runs_of("c0")
     test = spoilt([run for k, run in enumerate(every) if k not in reference], "c0", "torque_saturation", 0.76)

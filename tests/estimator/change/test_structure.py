@@ -1,19 +1,20 @@
 """The structure of runs that has no name."""
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, mark
 
 from estimator.change.structure import _restricted, _rows, _Run, _Variances, find_structure
 from estimator.score import Score
 
 
 def known_runs() -> list[_Run]:
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     draws = [rng.normal(size=(6, 6)) for _ in range(4)]
     return _rows([Score(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6))
 
 
-@pytest.mark.parametrize("at", [_Variances(1.0, 1.0, np.zeros(0), ()), _Variances(2.7, 0.1, np.array([3.0]), (4,)),
+@mark.parametrize("at", [_Variances(1.0, 1.0, np.zeros(0), ()), _Variances(2.7, 0.1, np.array([3.0]), (4,)),
                                 _Variances(0.05, 7.0, np.array([5.0, 0.2]), (0, 3))])
 def test_the_misfit_is_that_of_the_whole_covariance(at: _Variances) -> None:
     runs = known_runs()
@@ -28,7 +29,7 @@ def test_the_misfit_is_that_of_the_whole_covariance(at: _Variances) -> None:
     told = free.T @ inverse @ free
     left = y - free @ np.linalg.solve(told, free.T @ inverse @ y)
     whole = 0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(told)[1] + left @ inverse @ left)
-    assert _restricted(runs, 2, at).misfit == pytest.approx(whole, rel=1e-9)
+    assert _restricted(runs, 2, at).misfit == approx(whole, rel=1e-9)
 
 
 def test_slopes_are_those_of_the_misfit() -> None:
@@ -40,15 +41,15 @@ def test_slopes_are_those_of_the_misfit() -> None:
         return (_restricted(runs, 2, more).misfit - _restricted(runs, 2, less).misfit) / (2.0 * step)
 
     common = slope(at._replace(common=0.5 + step), at._replace(common=0.5 - step))
-    assert found.common == pytest.approx(common, rel=1e-5)
+    assert found.common == approx(common, rel=1e-5)
     own = slope(at._replace(own=0.3 + step), at._replace(own=0.3 - step))
-    assert found.columns.sum() == pytest.approx(own, rel=1e-5)
+    assert found.columns.sum() == approx(own, rel=1e-5)
     for k, column in enumerate(at.where):
         moved = [at._replace(drift=at.drift + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0)]
-        assert found.columns[column] == pytest.approx(slope(*moved), rel=1e-5)
+        assert found.columns[column] == approx(slope(*moved), rel=1e-5)
 
 
-def session(rng: np.random.Generator, spread: np.ndarray, runs: int = 8) -> list[Score]:
+def session(rng: Generator, spread: np.ndarray, runs: int = 8) -> list[Score]:
     """Runs of 400 rows of a regression whose coefficients differ from run to run by `spread`."""
     found = []
     for _ in range(runs):
@@ -60,7 +61,7 @@ def session(rng: np.random.Generator, spread: np.ndarray, runs: int = 8) -> list
 
 def test_a_column_that_drifts_takes_its_variance_and_leaves_the_others_theirs() -> None:
     """True standard deviations: 0.5 of column 6, none of the others; a run tells 0.045 of a column."""
-    rng, hits = np.random.default_rng(3), 0
+    rng, hits = default_rng(3), 0
     spread = np.zeros(30)
     spread[6] = 0.5
     for _ in range(10):
@@ -72,6 +73,6 @@ def test_a_column_that_drifts_takes_its_variance_and_leaves_the_others_theirs() 
 
 
 def test_no_column_drifts_where_none_differs_from_the_others() -> None:
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     found = [find_structure([session(rng, np.full(30, spread))], 3) for spread in (0.0, 0.1) for _ in range(10)]
     assert sum(one.drift.any() for one in found) <= 1

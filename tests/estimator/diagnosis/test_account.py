@@ -1,13 +1,11 @@
 """What is told of a decision: shares of the error, sizes that a minor cause moves, sensors that show nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from estimator import Diagnosis, FitOptions
 from estimator.diagnosis.account import compared, undecided, with_blind_sensors, with_minor
@@ -31,25 +29,25 @@ def test_shares_of_the_budget_add_up() -> None:
         ("noise", None, None)]
     share = {r.what + (r.effect or ""): r.share for r in rows}
     assert share["nominal"] == 1.0
-    assert share["causetorque_delay"] + share["causebacklash"] + share["remainder"] == pytest.approx(1.0)
-    assert share["remainder"] == pytest.approx((1.5**2 - 1.0) / (5.0**2 - 1.0))
+    assert share["causetorque_delay"] + share["causebacklash"] + share["remainder"] == approx(1.0)
+    assert share["remainder"] == approx((1.5**2 - 1.0) / (5.0**2 - 1.0))
     # without the first 9 - 2.25 of error come back, without the second 16 - 2.25
-    assert share["causebacklash"] / share["causetorque_delay"] == pytest.approx((16 - 2.25) / (9 - 2.25))
-    assert share["noise"] == pytest.approx(1.0 / 24.0)
+    assert share["causebacklash"] / share["causetorque_delay"] == approx((16 - 2.25) / (9 - 2.25))
+    assert share["noise"] == approx(1.0 / 24.0)
     assert all(r.ci95[0] <= r.share + 1e-9 and r.share <= r.ci95[1] + 1e-9 for r in rows)
     assert [(r.what, r.share) for r in budget(table, None)][1] == ("remainder", 1.0)
 
 
-@pytest.mark.parametrize("errors", [(5.0, 1.5, 3.0, 4.0), (5.0, 0.9, 3.0, 4.0), (1.03, 1.01, 1.02, 1.02),
+@mark.parametrize("errors", [(5.0, 1.5, 3.0, 4.0), (5.0, 0.9, 3.0, 4.0), (1.03, 1.01, 1.02, 1.02),
                                     (1.5, 9.0, 3.0, 4.0)])
 def test_the_shares_of_the_whole_error_are_never_above_it(errors: tuple[float, ...]) -> None:
     """Noise alone was 1659 % of an excess over noise that was small, and a cause that raises the error -5180 %."""
     both = explained(900.0, Named("torque_delay"), Named("backlash", 1))
     _, *rows = budget(table_of(*errors), Answer((both,), 1, (2, 3), 1))
-    assert sum(row.of_error for row in rows) == pytest.approx(1.0)
+    assert sum(row.of_error for row in rows) == approx(1.0)
     assert all(0.0 <= x <= 1.0 for row in rows for x in (row.of_error, *row.of_error_ci95))
     causes = sum(row.of_error for row in rows if row.what == "cause")
-    assert causes == pytest.approx(max(1.0 - (errors[1] / errors[0])**2, 0.0))
+    assert causes == approx(max(1.0 - (errors[1] / errors[0])**2, 0.0))
 
 
 def test_no_budget_is_made_of_noise() -> None:
@@ -63,7 +61,7 @@ def test_sets_of_listed_effects_alone_are_compared() -> None:
     family = cast(FittedFamily, SimpleNamespace(rows=Family(0, hidden=(Hidden(0, 4, "", True),)), models=models))
     found = compared(family, table_of(9.0, 1.4, 1.3, 1.1, 0.2, 0.1))
     assert [keys for keys, _ in found] == [("drag", "play"), ("drag",)]
-    assert [error for _, error in found] == pytest.approx([1.1, 1.3])
+    assert [error for _, error in found] == approx([1.1, 1.3])
 
 
 def test_none_is_no_promise_where_noise_moves_free_runs_as_far_as_the_motion() -> None:

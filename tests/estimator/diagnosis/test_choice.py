@@ -1,9 +1,7 @@
 """Which of the fitted sets is the answer, by their errors and likelihoods: `is_material`, `choose`, `likeliest`."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from pytest import mark
 
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis.decision_rule import WIDTH
@@ -18,7 +16,7 @@ def names(found: list[Explanation]) -> list[str]:
     return [" ".join(sorted(e.keys)) for e in found]
 
 
-@pytest.mark.parametrize("errors, agreement, material", [
+@mark.parametrize("errors, agreement, material", [
     ((3.0, 1.2), [[0, 0], [900, 800]], True),
     ((3.0, 2.9), [[0, 0], [900, 800]], False),  # beyond doubt by the likelihood, and of no consequence
     ((3.0, 1.2), [[0, 0], [900, -20]], True),  # a law of another form; the error of both runs falls
@@ -68,7 +66,7 @@ def test_an_error_that_falls_but_not_for_sure_is_not_said_to_stay() -> None:
         assert shortfall(table_of(23.5, after, agreement=[[0, 0], [20, -900]]), 1, MATERIAL) == words
 
 
-@pytest.mark.parametrize(("swing", "told"), [(0.0, "presliding"), (0.35, "delay")])
+@mark.parametrize(("swing", "told"), [(0.0, "presliding"), (0.35, "delay")])
 def test_a_likelier_cause_is_left_out_only_where_it_surely_simulates_worse(swing: float, told: str) -> None:
     """A late motor of a geared leg, 1.28 to 1.15 floors, was called presliding friction, 1.28 to 1.0, that was e^116
     times less likely."""
@@ -86,7 +84,7 @@ def test_sets_that_the_runs_do_not_tell_apart_are_chosen_together() -> None:
     assert names(best) == ["drag", "spring"] and row == 1
 
 
-@pytest.mark.parametrize(("errors", "agreement", "told"), [
+@mark.parametrize(("errors", "agreement", "told"), [
     ((7.1, 1.62, 1.47), None, 1),  # a second law takes up a difference of form
     ((5.0, 3.0, 1.1), None, 2), ((6.9, 3.7, 1.4), None, 2),
     ((69.0, 3.7, 1.4), None, 2),  # it counts by what the first leaves, however large the error was

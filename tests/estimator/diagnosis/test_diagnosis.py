@@ -1,12 +1,12 @@
 """Effects and the diagnosis's statistics; whole diagnoses by hundreds are `make evidence`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
@@ -33,7 +33,7 @@ CHOSEN = FitOptions(sensors="imu", hold="auto", smoothing_velocity="auto")
 @pytest.fixture(scope="module")
 def runs() -> tuple[Leg, list[Dataset]]:
     leg = Leg()
-    return leg, [record(leg, np.random.default_rng(600 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+    return leg, [record(leg, default_rng(600 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: 
     free, whole = problem.view(x, leg.beta()), problem.view(x, leg.beta(), taken)
     mobility = np.asarray(np.linalg.inv(mechanism.inertia_matrix(q, leg.beta())), float)
     found = braked(free, np.moveaxis(mobility, 0, -1), taken)
-    np.testing.assert_allclose(found.samples.a, whole.samples.a, rtol=1e-9, atol=1e-9)
+    assert_allclose(found.samples.a, whole.samples.a, rtol=1e-9, atol=1e-9)
     assert np.abs(whole.samples.a - free.samples.a).max() > 1.0
 
 
@@ -78,7 +78,7 @@ def test_friction_by_load_follows_what_the_joint_passes_on(voltage: bool) -> Non
         more = whole - beta[3]
     torque = LoadDependentFriction(0).perturb(view, np.array([0.4])).torque_at_samples
     assert torque is not None
-    np.testing.assert_allclose(torque[0], more * s.sign[0], atol=2e-3)
+    assert_allclose(torque[0], more * s.sign[0], atol=2e-3)
 
 
 def test_a_slide_has_its_own_units_and_shapes() -> None:
@@ -89,7 +89,7 @@ def test_a_slide_has_its_own_units_and_shapes() -> None:
     assert joint1(voltage=True).unit("N m s^2/rad^2") == "V s^2/rad^2"
     (stribeck,), (rotary,) = ([e for e in library(m, False)[0] if e.name == "stribeck_friction"]
                               for m in (slide, joint1()))
-    np.testing.assert_allclose(stribeck.grid(), np.array(rotary.grid()) * [0.05, 1.0])  # an exponent has no unit
+    assert_allclose(stribeck.grid(), np.array(rotary.grid()) * [0.05, 1.0])  # an exponent has no unit
     assert stribeck.clipped(np.array([1.0, 0.01, 2.0]))[1] == 0.01
 
 
@@ -119,7 +119,7 @@ def test_nothing_hidden_is_never_named(healthy: Diagnosis) -> None:
 
 def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(runs: tuple[Leg, list[Dataset]]) -> None:
     leg, data = runs
-    rng = np.random.default_rng(31)
+    rng = default_rng(31)
     spoiled = []
     for run in data:
         torque = run["tau2_nm"]
@@ -131,14 +131,14 @@ def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(run
 
 
 def test_too_little_data_is_refused_in_words() -> None:
-    run = record(Leg(), np.random.default_rng(9), seconds=3.0)
+    run = record(Leg(), default_rng(9), seconds=3.0)
     found = diagnose([run], leg2(lever_arm=0.2), FitOptions(sensors="imu"))
     assert found.verdict == "fit_failed"
     assert "record" in found.sentence
 
 
 def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     runs = []
     for _ in range(4):  # column 1 is column 0 twice, column 2 is its own
         rows = rng.normal(size=(50, 2))
@@ -151,7 +151,7 @@ def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
 
 def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
     """Least squares of a slow and a fast column under noise of ten samples' memory, taken for white."""
-    rng, missed, narrow = np.random.default_rng(5), np.zeros(2), np.zeros(2)
+    rng, missed, narrow = default_rng(5), np.zeros(2), np.zeros(2)
     samples, cases = 400, 300
     t = np.arange(samples)
     for _ in range(cases):

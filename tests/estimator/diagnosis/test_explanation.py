@@ -1,13 +1,11 @@
 """Which explanations of one gap are called a tie, and which are none: their effect is nil, or has the wrong sign."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import mark
 
 from daq import FloatArray
 from estimator import Effect
@@ -67,7 +65,7 @@ def test_two_fits_of_one_set_of_effects_are_compared_as_such() -> None:
     assert len(indistinguishable_set(both)) == 2
 
 
-@pytest.mark.parametrize(("gain", "by_run"), [
+@mark.parametrize(("gain", "by_run"), [
     (1504.0, [6.0, 7.0, 6.0, 7.0, 8.0, 8.0]),  # a small difference on which all runs agree
     (1300.0, [-9.0, 55.0, 40.0, 45.0, 110.0, 5.0]),  # a large one that one run is little against
 ])
@@ -76,7 +74,7 @@ def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
     assert names(indistinguishable_set([scale, explanation(RotorInertia(1), gain, by_run)])) == ["encoder_scale"]
 
 
-@pytest.mark.parametrize(("scale", "rotor", "told"), [
+@mark.parametrize(("scale", "rotor", "told"), [
     ([90.0, 5.0], [90.0, 5.0], ["encoder_scale"]),  # both leave it: it speaks for neither
     ([0.0, 5.0], [40.0, 5.0], ["encoder_scale"]),  # it only imitates the scale
     ([90.0, 5.0], [130.0, 5.0], ["encoder_scale", "rotor_inertia"]),  # with it in both the rotor is as likely
@@ -90,7 +88,7 @@ def test_what_both_leave_can_make_a_tie(scale: list[float], rotor: list[float], 
     assert names(indistinguishable_set([likely, other])) == told
 
 
-@pytest.mark.parametrize(("left", "told"), [
+@mark.parametrize(("left", "told"), [
     (140.0, ["torque_offset", "asymmetric_friction"]),  # more than the 43 between them: it decides nothing
     (30.0, ["torque_offset"])])
 def test_what_both_leave_does_not_tell_effects_of_one_group_apart(left: float, told: list[str]) -> None:
@@ -133,14 +131,14 @@ def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     assert names(indistinguishable_set([likely, explanation(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
 
 
-@pytest.mark.parametrize(("effect", "sizes", "there"), [
+@mark.parametrize(("effect", "sizes", "there"), [
     (EncoderScale(1), [-0.5], True), (EncoderScale(1), [-1.2], False),
     (EncoderEccentricity(1), [0.05, 0.05], True), (EncoderEccentricity(1), [0.84, 0.75], False)])
 def test_a_reading_that_turns_back_is_no_error_of_an_encoder(effect: Effect, sizes: list[float], there: bool) -> None:
     assert effect.possible(np.array(sizes)) is there
 
 
-@pytest.mark.parametrize(("effect", "sizes", "there"), [
+@mark.parametrize(("effect", "sizes", "there"), [
     (QuadraticDrag(1), [9.0], True),
     (QuadraticDrag(1), [3.0], False),  # three standard deviations
     (QuadraticDrag(1), [-9.0], False),  # drag that drives
@@ -155,7 +153,7 @@ def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: l
     assert presence(explanation(effect, 1000.0, [0.0] * 6, sizes)) == [there]
 
 
-@pytest.mark.parametrize(("inflation", "known", "there"), [
+@mark.parametrize(("inflation", "known", "there"), [
     (1.0, (True, True), True), (1.0, (True, False), True), (1.0, (False, True), False), (4.0, (True, True), False)])
 def test_a_size_counts_where_it_is_determined_and_beyond_its_scatter(inflation: float, known: tuple[bool, bool],
                                                                      there: bool) -> None:
@@ -165,7 +163,7 @@ def test_a_size_counts_where_it_is_determined_and_beyond_its_scatter(inflation: 
     assert presence(spring) == [there] and undetermined(spring) == [known == (False, False)]
 
 
-@pytest.mark.parametrize(("halves", "kept"), [((8.0, 8.0), ("spring", "offset")), ((10.0, 8.0), ("offset",)),
+@mark.parametrize(("halves", "kept"), [((8.0, 8.0), ("spring", "offset")), ((10.0, 8.0), ("offset",)),
                                               ((10.0, 10.0), ())])
 def test_a_size_that_the_tolerances_do_not_tell_from_zero_is_no_fault(halves: tuple[float, float],
                                                                      kept: tuple[str, ...]) -> None:

@@ -1,7 +1,5 @@
 """What the train runs say of an answer before any test run is looked at."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast

@@ -1,17 +1,16 @@
 """Re-fits of effects hidden by the bench's own integrator: each comes out at its size."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.typing import NDArray
+from pytest import MonkeyPatch, approx, mark, raises
 from scipy.integrate import solve_ivp
 
 from daq import Dataset
-from estimator import Effect, FitError, FitOptions
+from estimator import Effect, FitError, FitOptions, fit
 from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import measure
@@ -35,9 +34,8 @@ from estimator.effects.joint_stiffness import JointStiffness
 from estimator.effects.load_dependent_friction import LoadDependentFriction
 from estimator.effects.quadratic_drag import QuadraticDrag
 from estimator.effects.torque_ripple import TorqueRipple
-from estimator.fitting import converge_motion, fit, fit_nominal
-from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State
-from estimator.likelihood.free_run import free_run
+from estimator.fitting import converge_motion, fit_nominal
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, Stage, State, free_run
 from estimator.model import joint1, leg2
 from estimator.prediction import per_value, white_noise
 from estimator.score import default_tolerances
@@ -62,7 +60,7 @@ def drawn(effect: str) -> DrawnCase:
 
 def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> list[Dataset]:
     """Runs of the leg with `plant` in it; the shunt shows the torque `late_s` after it acted."""
-    grid, rng = np.arange(COUNT) / RATE_HZ, np.random.default_rng(21)
+    grid, rng = np.arange(COUNT) / RATE_HZ, default_rng(21)
     acting, shown = (np.array([plan.at(grid + ahead, PEAK_NM) for plan in case.torques[:RUNS]])
                      for ahead in (late_s, 0.0))
     extra: dict[str, NDArray[np.float64]] = {name: np.full(RUNS, value) for name, value in plant.items()}
@@ -91,9 +89,9 @@ def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
     data = record(case, {"shaft": 1.0 / compliance, "shaft_damping": 0.003, "motor_inertia": MOTOR_INERTIA})
     _, model = fitted(case, data, JointElasticity(1), afresh=True)
     ((found, viscous, coulomb, inertia),) = model.sizes()
-    assert found == pytest.approx(compliance, rel=0.03)
-    assert viscous + model.state.beta[6] == pytest.approx(case.leg.viscous2, rel=0.1)
-    assert coulomb + model.state.beta[8] == pytest.approx(case.leg.coulomb2, rel=0.1)
+    assert found == approx(compliance, rel=0.03)
+    assert viscous + model.state.beta[6] == approx(case.leg.viscous2, rel=0.1)
+    assert coulomb + model.state.beta[8] == approx(case.leg.coulomb2, rel=0.1)
     assert 0.5 * MOTOR_INERTIA < inertia < 2.0 * MOTOR_INERTIA  # near the resonance samples see too little of it
     assert model.state.noise.encoder[1] < case.sensors.count_rad  # with friction on the link: thirty times as much
 
@@ -110,29 +108,29 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     model = refit(nominal, [(effect, start)], 40)
     # flanks that samples cross to and fro keep it from settling: 0.074 after 20 steps, 0.077 after 300, and one
     # processor's rounding takes another way there than another's
-    assert model.sizes()[0][0] == pytest.approx(gap, rel=0.1)
+    assert model.sizes()[0][0] == approx(gap, rel=0.1)
     picture = signature(nominal, model, effect)
     assert picture is not None and picture.y_label == "reading of encoder2"
-    assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
+    assert np.ptp(picture.curve) == approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
     fitted = smooth(model, split.test[0])
     problem, state = fitted.problem, fitted.state
     assert per_value(problem, state) < 2.0
 
 
-@pytest.mark.parametrize("late_s", [0.0098, 0.004, -0.006])
+@mark.parametrize("late_s", [0.0098, 0.004, -0.006])
 def test_a_late_torque_is_found_between_samples(late_s: float) -> None:
     case = drawn("torque_delay")
     _, model = fitted(case, record(case, {}, late_s), TorqueDelay())
     ((found,),) = model.sizes()
-    assert found == pytest.approx(late_s, abs=6e-4)  # noise interpolated between samples would draw it to 5 ms
+    assert found == approx(late_s, abs=6e-4)  # noise interpolated between samples would draw it to 5 ms
 
 
-@pytest.mark.parametrize("tolerances", [None, default_tolerances()])
+@mark.parametrize("tolerances", [None, default_tolerances()])
 def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(tolerances: dict[str, tuple[float, ...]] | None
                                                                        ) -> None:
     """One optimum. With tolerances a fit moves half way to the likeliest nuisances, within the intervals of both."""
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     leg = random_leg(rng)
     runs = [replace(run_of(leg, rng, seconds=8, hold="zero", high=8.0), name=f"r{k}") for k in range(4)]
     m, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto", tolerances=tolerances)
@@ -144,11 +142,11 @@ def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(tolerance
     model = nominal_model(replace(split, mechanism=near.mechanism, options=replace(
         options, hold=near.hold, smoothing_velocity="given")), near.state)
     values, covariance = model.state.beta, with_tolerances(model)
-    assert values / best.std == pytest.approx(best.beta / best.std, rel=0.0, abs=1e-6)
+    assert values / best.std == approx(best.beta / best.std, rel=0.0, abs=1e-6)
     wider = np.sqrt(np.diag(covariance)) / found.std
     moved = np.abs(values - found.beta) / found.std
     if tolerances is None:
-        assert wider == pytest.approx(1.0, rel=0.01) and moved == pytest.approx(0.0, abs=1e-6)
+        assert wider == approx(1.0, rel=0.01) and moved == approx(0.0, abs=1e-6)
     else:
         assert np.all((wider > 0.99) & (wider < 2.0)) and 0.2 < np.max(moved) < 1.0
 
@@ -160,24 +158,24 @@ def test_a_few_steps_end_at_the_likeliest_motion() -> None:
     nominal = nominal_model(split)
     model = refit(nominal, [(TorqueDelay(), np.array([0.04]))], 2, hold_shapes=True)
     again = replace(model, state=converge_motion(model.problem, model.state))
-    assert gain_over(again, model) == pytest.approx(0.0, abs=1.0)
+    assert gain_over(again, model) == approx(0.0, abs=1.0)
     assert gain_over(replace(model, state=replace(model.state, x=nominal.state.x)), model) > 100.0
 
 
 def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_converges(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch: MonkeyPatch) -> None:
     """A servo's leg against a stiff stop takes its torque for noise with every effect, and with none."""
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.008), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     nominal, delay = nominal_model(split), [(TorqueDelay(), np.zeros(1))]
     monkeypatch.setattr(models, "mistaken_torques", lambda *_: [1])
-    with pytest.raises(FitError, match="torque for noise"):
+    with raises(FitError, match="torque for noise"):
         refit(nominal, delay)
     beta = np.ravel(case.leg.beta())
     unknown = replace(nominal, state=replace(nominal.state, beta=beta, covariance=np.full((9, 9), np.inf)))
     model = refit(unknown, delay)
     assert np.array_equal(model.state.beta[:9], beta)
-    assert model.sizes()[0] == pytest.approx(0.008, abs=2e-3)
+    assert model.sizes()[0] == approx(0.008, abs=2e-3)
     assert np.isinf(model.std()[:9]).all() and 0.0 < model.std()[9] < 1e-3
     further = refit(model, [*zip(model.effects, model.sizes())])  # grown sets begin there
     assert np.array_equal(further.state.beta[:9], beta)
@@ -193,7 +191,7 @@ def test_no_run_changes_the_motion_of_another() -> None:
     near = np.where(np.arange(problem.total)[:, None] < begin, x.v, x.v + 1e-3)
     one, other = (converge_runs(model.split, problem, replace(model.state, x=replace(x, v=v))) for v in (far, near))
     assert np.array_equal(one.x.q[begin:], other.x.q[begin:])
-    assert gain_over(model, replace(model, state=other)) == pytest.approx(0.0, abs=1.0)
+    assert gain_over(model, replace(model, state=other)) == approx(0.0, abs=1.0)
 
 
 def test_a_fast_ripple_is_simulated_freely() -> None:
@@ -262,7 +260,7 @@ def test_a_replicate_that_the_model_fits_worse_than_the_run_is_left_out() -> Non
     split = replace(split, train=tuple(range(4)))
     nominal, candidates = nominal_model(split), [Candidate(QuadraticDrag(0)), Candidate(JointStiffness(0))]
     scores = score_train(nominal, candidates)
-    found = bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
+    found = bootstrap_scores(nominal, candidates, scores, default_rng(3))
     quiet = split.names.index("r0")
     own = [(mean, np.diag(s.information)) for mean, s in zip(found, scores)]
     for k in range(4):
@@ -270,18 +268,18 @@ def test_a_replicate_that_the_model_fits_worse_than_the_run_is_left_out() -> Non
         assert np.allclose(found[k], others, rtol=1e-12) is (k == quiet)
     noise = nominal.state.noise
     noisy = replace(nominal.state, noise=replace(noise, torque=9.0 * noise.torque, encoder=9.0 * noise.encoder))
-    with pytest.raises(FitError, match="replicate"):
-        bootstrap_scores(replace(nominal, state=noisy), candidates, scores, np.random.default_rng(3))
+    with raises(FitError, match="replicate"):
+        bootstrap_scores(replace(nominal, state=noisy), candidates, scores, default_rng(3))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@mark.parametrize("workers", [1, 2])
 def test_a_model_that_is_measured_twice_is_as_likely_twice(workers: int) -> None:
     """Where a joint rests is found once, with the nominal model: all explanations have the same weights."""
     split = split_runs([pendulum_run(f"r{k}", 70 + k) for k in range(8)], mechanism(), FitOptions(sensors="encoder"),
                        workers=workers)
     nominal = nominal_model(split)
     assert len(split.test) == 2 and set(split.test) <= set(nominal.split.stiction)
-    table = measure([nominal, nominal], 0, white_noise(nominal.state.noise), np.random.default_rng(0), [0])
+    table = measure([nominal, nominal], 0, white_noise(nominal.state.noise), default_rng(0), [0])
     assert table.agreement.tolist() == [[0.0, 0.0]] * 2 and table.error(1) == table.error(0) < 1.5
-    again = measure([replace(nominal)], 0, white_noise(nominal.state.noise), np.random.default_rng(0), [0])
-    assert again.error(0) == pytest.approx(table.error(0), rel=1e-9)
+    again = measure([replace(nominal)], 0, white_noise(nominal.state.noise), default_rng(0), [0])
+    assert again.error(0) == approx(table.error(0), rel=1e-9)

@@ -1,7 +1,5 @@
 """Noise that a fit finds against what the rig declares."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

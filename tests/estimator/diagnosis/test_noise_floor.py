@@ -1,11 +1,10 @@
 """The noise floor holds a disturbance that wanders, and not a law that the model lacks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
+from pytest import approx
 
 from daq import FloatArray
 from estimator import FitOptions
@@ -28,7 +27,7 @@ RUNS = 4
 
 def nominal(wanders: bool, options: FitOptions | None = None) -> Model:
     """A leg's nominal model; its knee feels a disturbance, or a spring at the pivot is missing."""
-    rng, leg = np.random.default_rng(8), Leg()
+    rng, leg = default_rng(8), Leg()
     time = np.arange(2000) / 100.0
     runs = [disturbed_record(leg, rng, 0.03, 0.2, f"run{k}") if wanders else
             record(leg, rng, tau=multisine(rng, time, 1.2), name=f"run{k}", spring=(0.5, 0.2)) for k in range(RUNS)]
@@ -36,13 +35,13 @@ def nominal(wanders: bool, options: FitOptions | None = None) -> Model:
 
 
 def error(model: Model, floor: FloorNoise) -> float:
-    return measure([model], NOMINAL, floor, np.random.default_rng(0), [NOMINAL]).error(NOMINAL)
+    return measure([model], NOMINAL, floor, default_rng(0), [NOMINAL]).error(NOMINAL)
 
 
 def test_a_disturbance_is_noise() -> None:
     model = nominal(True)
     floor = noise_floor(model)
-    assert floor.noise.disturbance[1] == pytest.approx(0.03, rel=0.35)
+    assert floor.noise.disturbance[1] == approx(0.03, rel=0.35)
     assert 0.08 < floor.noise.time_constant[1] < 0.5 and floor.repeated[1] < 0.2
     assert error(model, white_noise(model.state.noise)) > 1.5 and error(model, floor) < 1.4
     told = nothing(with_noise(base(model, {}, None), model, floor)).sentence
@@ -61,7 +60,7 @@ def test_a_law_that_the_model_lacks_is_not() -> None:
 
 def is_a_mean_of_replicates_over_whole_runs(model: Model, floor: FloorNoise) -> None:
     """A leg that sticks left 1.0 to 8.5 floors by the one replicate that was drawn."""
-    run, horizons, rng = model.split.test[0], (0.1, np.inf), np.random.default_rng(5)
+    run, horizons, rng = model.split.test[0], (0.1, np.inf), default_rng(5)
     fitted = smooth(model, run)
     found = floor_of(model, run, fitted, 5, horizons, floor, 2)[:, sensors_of(model).index("q2_rad")]
 
@@ -72,14 +71,14 @@ def is_a_mean_of_replicates_over_whole_runs(model: Model, floor: FloorNoise) -> 
 
     first = drawn(horizons)
     whole = np.mean([first[1], *(drawn((np.inf,))[0] for _ in range(WHOLE_RUNS // 2 - 1))], axis=0)
-    assert found[0] == pytest.approx(first[0]) and found[1] == pytest.approx(whole)
+    assert found[0] == approx(first[0]) and found[1] == approx(whole)
 
 
 def test_a_process_has_its_level_and_time_constant() -> None:
     noise = Noise(np.array([0.01]), np.array([1e-4]), disturbance=np.array([0.5]), time_constant=np.array([0.2]))
-    drawn: FloatArray = Process.of(noise, 0.01).draw(200_000, 0, np.random.default_rng(1))
-    assert drawn.std() == pytest.approx(0.5, rel=0.03)
-    assert np.corrcoef(drawn[:-20], drawn[20:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.03)
+    drawn: FloatArray = Process.of(noise, 0.01).draw(200_000, 0, default_rng(1))
+    assert drawn.std() == approx(0.5, rel=0.03)
+    assert np.corrcoef(drawn[:-20], drawn[20:])[0, 1] == approx(np.exp(-1.0), abs=0.03)
 
 
 def test_a_sensor_is_held_at_the_noise_that_it_is_known_to_have() -> None:
@@ -88,4 +87,4 @@ def test_a_sensor_is_held_at_the_noise_that_it_is_known_to_have() -> None:
     rows = _Rows(model)
     hidden = hidden_motion(rows, NOMINAL)
     assert hidden is not None and hidden.declared == 1 and hidden.stated and "gyro" in hidden.text
-    assert gyro.kind == "gyro" and rows.models[1].state.noise.gyro[0] == pytest.approx(0.002, rel=1e-6)
+    assert gyro.kind == "gyro" and rows.models[1].state.noise.gyro[0] == approx(0.002, rel=1e-6)

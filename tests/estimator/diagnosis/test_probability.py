@@ -1,11 +1,9 @@
 """The probability of an answer: weights of rival sets, and how often resampled runs give the same verdict."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis.decision_rule import SURE
@@ -36,38 +34,38 @@ def against(*sets: Explanation, stated: int = 1) -> Family:
 
 def test_a_clear_answer_is_nearly_certain() -> None:
     family = against(explained(900.0, "drag"), explained(899.0, "spring"))
-    assert chance(table(9.0, 1.2, 8.0), family, "named") == pytest.approx(1.0)
+    assert chance(table(9.0, 1.2, 8.0), family, "named") == approx(1.0)
 
 
-@pytest.mark.parametrize(("behind", "stated", "expected"), [
+@mark.parametrize(("behind", "stated", "expected"), [
     (0.0, 1, 0.5), (0.0, 2, 1.0), (LEAST_APART, 1, SURE), (400.0, 1, 1.0)])
 def test_rivals_that_fit_alike_share_the_probability(behind: float, stated: int, expected: float) -> None:
     """A rival of as many effects and about the same error counts by its likelihood, tempered; larger sets do not."""
     family = against(explained(900.0, "drag"), explained(900.0 - behind, "spring"),
                      explained(2000.0, "drag", "spring"), stated=stated)
-    assert chance(table(9.0, 1.2, 1.2, 1.15), family, "named") == pytest.approx(expected, abs=1e-3)
+    assert chance(table(9.0, 1.2, 1.2, 1.15), family, "named") == approx(expected, abs=1e-3)
 
 
 def test_what_rivals_leave_makes_the_likelihood_less_sure() -> None:
     """A further effect brings a rival, 400 behind, to the limit of a tie; further likelihood then counts for less."""
     family = against(explained(900.0, "drag", further=[500.0]),
                      explained(500.0, "spring", further=[900.0 - LEAST_APART]))
-    assert chance(table(9.0, 1.2, 1.2), family, "named") == pytest.approx(SURE, abs=1e-3)
+    assert chance(table(9.0, 1.2, 1.2), family, "named") == approx(SURE, abs=1e-3)
 
 
-@pytest.mark.parametrize("rival", [199_000.0, 190_000.0])
+@mark.parametrize("rival", [199_000.0, 190_000.0])
 def test_a_likelier_set_that_simulates_worse_is_no_rival(rival: float) -> None:
     """Its weight is that of the others by far: they are weighed among themselves."""
     family = against(explained(100_000.0, "ripple"), explained(99_900.0, "delay"), explained(rival, "tilt"))
-    assert chance(table(37.8, 1.0, 1.0, 9.0), family, "named") == pytest.approx(1.0)
+    assert chance(table(37.8, 1.0, 1.0, 9.0), family, "named") == approx(1.0)
 
 
-@pytest.mark.parametrize(("size", "expected"), [(1.0, 1.0), (9.0, 0.5)])
+@mark.parametrize(("size", "expected"), [(1.0, 1.0), (9.0, 0.5)])
 def test_a_spring_without_stiffness_is_no_rival_of_an_offset(size: float, expected: float) -> None:
     spring = Named("spring", equivalence_class="constant", distinguishing_size=0)
     family = against(explained(900.0, Named("offset", equivalence_class="constant")),
                      explained(900.0, spring, size=size))
-    assert chance(table(9.0, 1.2, 1.2), family, "named") == pytest.approx(expected, abs=1e-3)
+    assert chance(table(9.0, 1.2, 1.2), family, "named") == approx(expected, abs=1e-3)
 
 
 def test_nothing_material_is_uncertain_where_a_set_is_nearly_material() -> None:
@@ -86,7 +84,7 @@ def test_a_verdict_near_its_threshold_is_uncertain() -> None:
     assert chance(table(1.2, 1.2), family, "none") == 1.0
     edge = chance(table(1.49, 1.49), family, "none")
     assert edge is not None and 0.4 < edge < 0.8
-    assert chance(table(9.0, 2.0), family, "partial") == pytest.approx(1.0)  # the cause is present
+    assert chance(table(9.0, 2.0), family, "partial") == approx(1.0)  # the cause is present
     near = chance(table(9.0, 1.89), family, "named")
     assert near is not None and near < 0.95  # it could leave something
 
@@ -100,7 +98,7 @@ def test_a_refused_name_and_an_unexplained_error_have_no_probability() -> None:
 def test_rivals_are_those_of_the_first_test_runs_where_the_split_rotated() -> None:
     family = against(explained(900.0, "drag"), explained(900.0, "spring"))
     turned = table(9.0, 1.2, np.nan)  # a rival is not fitted again
-    assert chance(turned, family, "named", table(9.0, 1.2, 1.2)) == pytest.approx(0.5, abs=1e-3)
+    assert chance(turned, family, "named", table(9.0, 1.2, 1.2)) == approx(0.5, abs=1e-3)
 
 
 def test_no_error_is_as_probable_as_it_stays_within_the_noise() -> None:
@@ -113,4 +111,4 @@ def test_no_fault_but_what_tolerances_hold_is_as_probable_as_its_name() -> None:
     """It reduces the error, as it must: that is no reason against it."""
     offset = replace(explained(900.0, "offset"), within=frozenset({"offset"}))
     family = against(offset, explained(600.0, "spring"))
-    assert chance(table(9.0, 1.1, 8.0), family, "none") == pytest.approx(1.0)
+    assert chance(table(9.0, 1.1, 8.0), family, "none") == approx(1.0)

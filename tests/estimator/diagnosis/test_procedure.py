@@ -1,11 +1,10 @@
 """The pipe of a diagnosis on a driven pendulum: the train runs choose, the test runs judge."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from estimator import FitError
 from estimator.diagnosis import MATERIAL
@@ -19,7 +18,7 @@ DRAG, SPRING = 0.03, 0.4
 
 def what_was_found(one: Searched) -> list[tuple[object, ...]]:
     """Everything that the search and the family state, and the errors that they choose by."""
-    family, context = one.family, replace(one.context, rng=np.random.default_rng(0))
+    family, context = one.family, replace(one.context, rng=default_rng(0))
     table = train_table(context, one.found, floor_of_best(context, one.found))
     return [*((sorted(e.keys), e.gain, e.error, [s.tolist() for s in e.model.sizes()]) for e in one.found),
             (family.rows.core, family.unit, family.noise.noise.torque.tolist(), table.values.tolist()),
@@ -38,7 +37,7 @@ def test_no_test_run_is_looked_at_before_the_search_has_ended() -> None:
     assert what_was_found(first) == what_was_found(other)
     verdicts = []
     for one in (first, other):
-        table = measure_first(one.family, np.random.default_rng(1))
+        table = measure_first(one.family, default_rng(1))
         verdicts.append(decide(table, one.family.rows, MATERIAL))
     assert [v.verdict for v in verdicts] == ["named", "unexplained"] and verdicts[1].why == UNCHANGED
 
@@ -51,7 +50,7 @@ def test_both_hidden_causes_are_the_answer_and_each_is_needed() -> None:
     assert [{e.key for e in models[k].effects} for k in rows.answer.without] == [
         rows.answer.best[0].keys - {e.key} for e in rows.answer.best[0].model.effects]
     assert models[0] is one.context.nominal and all(m.split is one.context.split for m in models[1:])
-    table = measure_first(one.family, np.random.default_rng(1))
+    table = measure_first(one.family, default_rng(1))
     found = decide(table, rows, MATERIAL)
     assert found.verdict == "named" and found.answer is rows.answer and not found.open
     assert table.error(0) > 10.0 and table.error(rows.answer.row) < 1.2
@@ -61,8 +60,8 @@ def test_both_hidden_causes_are_the_answer_and_each_is_needed() -> None:
 
 def test_each_run_is_a_test_run_once_with_every_model_fitted_anew() -> None:
     one = searched(drag=DRAG, spring=SPRING)
-    first = measure_first(one.family, np.random.default_rng(1))
-    every = measure_all(one.family, first, np.random.default_rng(2), MATERIAL)
+    first = measure_first(one.family, default_rng(1))
+    every = measure_all(one.family, first, default_rng(2), MATERIAL)
     assert every is not None
     table, rotations = every
     assert sorted(name for r in rotations for name in r.runs) == ["r0", "r1", "r2", "r3"] and rotations[0].falls
@@ -79,11 +78,11 @@ def test_each_run_is_a_test_run_once_with_every_model_fitted_anew() -> None:
 
 def test_a_model_that_cannot_be_fitted_again_leaves_the_answer_to_the_first_test_runs() -> None:
     one = searched(drag=DRAG)
-    first, row = measure_first(one.family, np.random.default_rng(1)), one.family.rows.answer.row
+    first, row = measure_first(one.family, default_rng(1)), one.family.rows.answer.row
     model = one.family.models[row]
     lost = replace(model, state=replace(model.state, beta=np.full_like(model.state.beta, np.nan)))
     models = tuple(lost if k == row else m for k, m in enumerate(one.family.models))
-    assert measure_all(replace(one.family, models=models), first, np.random.default_rng(2), MATERIAL) is None
+    assert measure_all(replace(one.family, models=models), first, default_rng(2), MATERIAL) is None
 
 
 def test_where_the_answer_cannot_be_simulated_the_nominal_model_is_the_unit() -> None:
@@ -96,8 +95,8 @@ def test_where_the_answer_cannot_be_simulated_the_nominal_model_is_the_unit() ->
     models = list(one.family.models)
     models[row] = replace(model, state=replace(model.state, beta=wild))
     family = replace(one.family, models=tuple(models))
-    table = measure_first(family, np.random.default_rng(1))
+    table = measure_first(family, default_rng(1))
     assert table.error(0) > 10.0 and decide(table, family.rows, MATERIAL).verdict == "unexplained"
     models[0] = replace(models[0], state=replace(models[0].state, beta=wild[:4]))
     with pytest.raises(FitError):
-        measure_first(replace(family, models=tuple(models)), np.random.default_rng(1))
+        measure_first(replace(family, models=tuple(models)), default_rng(1))

@@ -1,11 +1,9 @@
 """Which sets of effects are found, and when more effects at once are tried."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import MonkeyPatch, approx, mark, raises
 
 from estimator import FitError
 from estimator.diagnosis import search
@@ -31,8 +29,8 @@ def test_hidden_causes_are_found_each_set_once_the_likeliest_first() -> None:
     found = searched(drag=DRAG, spring=SPRING).found
     assert found[0].keys == {"quadratic_drag@1", "joint_stiffness@1"}
     sizes = dict(zip((e.key for e in found[0].model.effects), found[0].model.sizes()))
-    assert sizes["quadratic_drag@1"][0] == pytest.approx(DRAG, rel=0.02)
-    assert sizes["joint_stiffness@1"][0] == pytest.approx(SPRING, rel=0.02)
+    assert sizes["quadratic_drag@1"][0] == approx(DRAG, rel=0.02)
+    assert sizes["joint_stiffness@1"][0] == approx(SPRING, rel=0.02)
     assert len({e.keys for e in found}) == len(found) and {len(e.keys) for e in found} == {1, 2}
     assert [e.gain for e in found] == sorted((e.gain for e in found), reverse=True)
     assert found[0].error == min(e.error for e in found) < 0.1
@@ -95,7 +93,7 @@ def test_one_effect_more_is_sought_in_what_an_explanation_leaves() -> None:
     more = search.with_one_more(one.context, drag)
     assert more[0].keys == {"quadratic_drag@1", "joint_stiffness@1"}
     own = gain_over(drag.model, more[0].model) / drag.left.scatter
-    assert more[0].gain == pytest.approx(own) and own > one.context.least_gain
+    assert more[0].gain == approx(own) and own > one.context.least_gain
     assert [e.gain for e in more] == sorted((e.gain for e in more), reverse=True)
 
 
@@ -129,7 +127,7 @@ def test_every_effect_is_predicted_at_the_nominal_model_and_other_first_sizes_to
         (["drag"], 3.0), (["skew"], 2.0), (["skew"], 0.02), (["skew"], -0.02)]
 
 
-def promised(monkeypatch: pytest.MonkeyPatch, errors: dict[int, float]) -> search.Promise:
+def promised(monkeypatch: MonkeyPatch, errors: dict[int, float]) -> search.Promise:
     """Of the pendulum's drag, and of it with the spring, whose free runs, by the number of effects, err by so many
     floors."""
     one = searched(drag=DRAG, spring=SPRING)
@@ -141,13 +139,13 @@ def promised(monkeypatch: pytest.MonkeyPatch, errors: dict[int, float]) -> searc
     return search.promise(replace(one.context, rng=np.random.default_rng(0)), found)
 
 
-@pytest.mark.parametrize("errors, promising", [
+@mark.parametrize("errors, promising", [
     ({0: 1.9, 1: 1.35}, True), ({0: 1.9, 1: 1.05}, False),  # room above noise for a second effect, and none
     ({0: 1.9, 1: 1.35, 2: 1.32}, False),  # a late torque; friction near rest with it lowers next to nothing
     ({0: 9.0, 1: 2.5, 2: 1.4}, True),
     ({0: 9.0, 1: 9.0}, True), ({0: 9.0, 1: 4.5, 2: 4.5}, False),  # one effect may hide another
     ({0: 9.0, 1: 1.05, 2: 0.9}, False)])  # no room above noise
-def test_more_effects_are_tried_where_the_last_lowers_the_error(monkeypatch: pytest.MonkeyPatch,
+def test_more_effects_are_tried_where_the_last_lowers_the_error(monkeypatch: MonkeyPatch,
                                                                 errors: dict[int, float], promising: bool) -> None:
     assert promised(monkeypatch, errors).larger is promising
 
@@ -173,7 +171,7 @@ def test_where_nothing_can_be_simulated_more_is_tried() -> None:
     beta[2] = -5.0  # friction that drives
     wild = replace(one.context.nominal, state=replace(one.context.nominal.state, beta=beta))
     context = replace(one.context, nominal=wild)
-    with pytest.raises(FitError, match="diverges"):
+    with raises(FitError, match="diverges"):
         floor_of_best(context, [])
     lost = replace(one.found[0], model=wild)
     assert search.promise(context, [lost]) == (True, True)

@@ -1,13 +1,11 @@
 """A diagnosis offers a structure only where its verdict leaves something, and on top of the model that it saves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import MonkeyPatch, fixture, mark
 
 from estimator import Diagnosis, FitError, FitOptions, Verdict
 from estimator.diagnosis import structure
@@ -23,7 +21,7 @@ from tests.support.mujoco_leg import Leg, record
 BETA = Leg().beta()
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def nominal() -> Any:
     """As much of a fitted model as a structure needs."""
     data = [record(Leg(), np.random.default_rng(k), seconds=3.0, name=f"r{k}") for k in range(4)]
@@ -33,8 +31,8 @@ def nominal() -> Any:
                                                            gear_ratio=50.0))
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[FittedModel]:
+@fixture
+def asked(monkeypatch: MonkeyPatch) -> list[FittedModel]:
     """Models whose residual was learnt from; the answer is that of a leg with a magnet."""
     models: list[FittedModel] = []
 
@@ -47,12 +45,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[FittedModel]:
     return models
 
 
-def learning(learn: Callable[..., Structure], monkeypatch: pytest.MonkeyPatch) -> None:
+def learning(learn: Callable[..., Structure], monkeypatch: MonkeyPatch) -> None:
     """`learn` stands for what takes minutes and has tests of its own."""
     monkeypatch.setattr(structure, "find_structure", learn)
 
 
-@pytest.mark.parametrize("verdict", ["none", "named", "one_of", "fit_failed"])
+@mark.parametrize("verdict", ["none", "named", "one_of", "fit_failed"])
 def test_verdicts_that_leave_nothing_have_none(verdict: Verdict, nominal: Any, asked: list[FittedModel]) -> None:
     found = Diagnosis(verdict, "")
     assert with_structure(found, nominal) is found and not asked
@@ -84,7 +82,7 @@ def test_a_torque_that_is_learnt_is_no_noise(nominal: Any, asked: list[FittedMod
     assert found.warnings == tuple(w for j, w in enumerate(told, 1) if j not in joints)
 
 
-def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: MonkeyPatch) -> None:
     def fails(*_: object) -> Structure:
         raise FitError("no")
 

@@ -1,14 +1,12 @@
 """`decide`: a cause is material if it changes the simulation's error on test runs."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import mark
 
 from estimator.diagnosis import MATERIAL, verdict
 from estimator.diagnosis.decision_rule import EDGE
@@ -39,7 +37,7 @@ def decided(table: ErrorTable, family: Family) -> Decision:
     return decide(table, family, MATERIAL)
 
 
-@pytest.mark.parametrize(("before", "after", "expected"), [
+@mark.parametrize(("before", "after", "expected"), [
     (9.0, 1.2, "named"), (9.0, 1.4, "named"), (9.0, 2.2, "partial"), (9.0, 4.3, "partial"),
     (53.0, 3.6, "named"),  # the prismatic axis: a fifteenth of the error is left
     (1.4, 1.4, "none"), (1.45, 1.05, "named")])
@@ -54,7 +52,7 @@ def test_a_cause_is_named_where_it_lowers_the_error_and_in_part_where_it_leaves_
     assert found.terms == ("answer" if expected == "partial" else "")
 
 
-@pytest.mark.parametrize(("errors", "family", "why"), [
+@mark.parametrize(("errors", "family", "why"), [
     ((1.9, 1.9), family_of(), UNCHANGED),
     ((4.0, 2.5), family_of(), UNSURE),  # the runs together are less likely with it
     ((1.9, 1.9, 1.52), family_of(own=2), GENERIC_ALONE),
@@ -83,9 +81,9 @@ def test_without_an_answer_an_error_is_unexplained_beyond_noise_alone() -> None:
     assert decided(table_of(1.9), Family(0)).terms == ""
 
 
-@pytest.mark.parametrize("answer", [
+@mark.parametrize("answer", [
     {"imitates": True}, {"own": 2}, {"more": 2}, {"imitates": True, "own": 2, "more": 2}])
-@pytest.mark.parametrize("agreement", [None, [[0.0, 0.0], [20.0, -900.0], [20.0, -900.0]]])
+@mark.parametrize("agreement", [None, [[0.0, 0.0], [20.0, -900.0], [20.0, -900.0]]])
 def test_what_explains_nearly_all_of_a_large_error_is_never_unexplained(
         answer: dict[str, int], agreement: list[list[float]] | None) -> None:
     """107 floors to 1.12: some further effect explains more of the readings, as it may of any answer."""
@@ -93,7 +91,7 @@ def test_what_explains_nearly_all_of_a_large_error_is_never_unexplained(
     assert found.verdict == "named"
 
 
-@pytest.mark.parametrize(("before", "after", "expected"), [
+@mark.parametrize(("before", "after", "expected"), [
     (107.0, 1.12, "named"), (107.0, 1.51, "unexplained"),  # more than noise is left
     (6.0, 1.49, "named"), (4.0, 1.4, "unexplained"),  # 3.5 % and 6.4 % of the excess are left
     (1.51, 1.02, "named"), (1.49, 1.0, "none")])  # within the noise a refused name is no error
@@ -113,14 +111,14 @@ def test_causes_that_these_runs_do_not_tell_apart_stay_together() -> None:
     assert found.answer.best == (drag, spring) and found.best is drag
 
 
-@pytest.mark.parametrize(("before", "expected"), [(1.05, "none"), (1.3, "none"), (1.9, "unexplained")])
+@mark.parametrize(("before", "expected"), [(1.05, "none"), (1.3, "none"), (1.9, "unexplained")])
 def test_within_the_noise_floor_nothing_is_unexplained(before: float, expected: str) -> None:
     """Terms without a name take a fifth of the error away; it counts only where the error is beyond what is put down to
     noise. A healthy geared leg erred by 1.24 floors, of which a wave over the angle took a tenth."""
     assert decided(table_of(before, before, 0.8 * before), family_of(own=2)).verdict == expected
 
 
-@pytest.mark.parametrize(("generic", "told"), [(1.0, True), (1.28, False)])
+@mark.parametrize(("generic", "told"), [(1.0, True), (1.28, False)])
 def test_structure_within_the_noise_floor_is_told_only_if_it_is_material(generic: float, told: bool) -> None:
     """Every model with generic terms said where a residual is, also one whose terms change no simulation."""
     for family in (family_of(own=2), Family(2)):
@@ -135,7 +133,7 @@ def test_a_cause_that_every_resampling_and_run_shows_is_told_where_it_is_small()
         assert found.verdict == "none" and found.answer is (family.answer if told else None)
 
 
-@pytest.mark.parametrize(("before", "one", "other", "expected"), [
+@mark.parametrize(("before", "one", "other", "expected"), [
     (1.32, 1.16, 1.18, "none"), (1.45, 1.28, 1.3, "named"), (1.9, 1.16, 1.18, "named")])
 def test_small_faults_that_are_material_only_together_are_no_cause(
         before: float, one: float, other: float, expected: str) -> None:
@@ -154,7 +152,7 @@ def with_second(before: float, first: float, both: float, agreement: Sequence[Se
                                                                        second=second)
 
 
-@pytest.mark.parametrize(("errors", "expected"), [
+@mark.parametrize(("errors", "expected"), [
     ((9.0, 1.5, 1.25), 2),  # a sixth of what the spring leaves
     ((9.0, 1.5, 1.4), 1),  # a fifteenth
     ((69.0, 3.7, 1.4), 2), ((9.0, 1.4, 1.45), 1)])
@@ -182,7 +180,7 @@ def test_a_second_cause_that_is_refused_leaves_the_first() -> None:
     assert decided(table, refused).answer is family.answer
 
 
-@pytest.mark.parametrize(("runs", "there"), [([400.0, 900.0], True), ([400.0, -1.0], False),
+@mark.parametrize(("runs", "there"), [([400.0, 900.0], True), ([400.0, -1.0], False),
                                              ([400.0, np.nan], True)])
 def test_a_minor_cause_is_told_where_each_run_that_is_simulated_shows_it(runs: list[float], there: bool) -> None:
     """A torque 6 ms late with a spring: the free-run error falls from 1.003 floors by nothing."""
@@ -195,7 +193,7 @@ def test_a_minor_cause_is_told_where_each_run_that_is_simulated_shows_it(runs: l
     assert decided(table_of(9.0, 9.0, 1.2, agreement=agreement), family).minor is None  # of no answer
 
 
-@pytest.mark.parametrize(("stated", "fitted", "usual", "hides"), [
+@mark.parametrize(("stated", "fitted", "usual", "hides"), [
     (True, 1.0, 3.0, True), (True, 1.4, 1.0, True), (True, 1.0, 1.05, False), (True, 1.0, None, True),
     (False, 1.0, 984.0, False),  # a public pendulum's encoder has 3.9 times what its neighbouring samples show, rightly
     (False, 1.4, 1.0, True), (False, 1.0, None, False)])
@@ -227,7 +225,7 @@ def test_nothing_is_no_finding_where_noise_takes_the_torque() -> None:
     assert decided(table_of(1.0, 1.0), answered).verdict == "none"
 
 
-@pytest.mark.parametrize(("errors", "is_open"), [
+@mark.parametrize(("errors", "is_open"), [
     ((9.0, 4.3), True),  # `partial` has to show on all runs
     ((9.0, 1.2), False), ((1.5, 1.48), False), ((9.0, 8.9), False)])
 def test_all_runs_are_asked_where_these_leave_it_open(errors: tuple[float, float], is_open: bool) -> None:
@@ -270,7 +268,7 @@ def test_rows_without_which_no_verdict_is_passed() -> None:
     assert every.core == (0, 1, 2, 4, 9) and RUNS == 2 and EDGE == 1.5
 
 
-@pytest.mark.parametrize(("after", "expected", "why"), [(1.2, "none", ""), (2.2, "unexplained", WITHIN)])
+@mark.parametrize(("after", "expected", "why"), [(1.2, "none", ""), (2.2, "unexplained", WITHIN)])
 def test_what_the_tolerances_of_the_rig_hold_is_no_fault(after: float, expected: str, why: str) -> None:
     """Unless it leaves more than noise: then something else is wrong."""
     offset = replace(explained(900.0, "offset"), within=frozenset({"offset"}))

@@ -11,7 +11,7 @@ from functools import cache
 from itertools import compress
 
 import numpy as np
-import pytest
+from pytest import FixtureRequest, Function, approx, fixture, mark, skip
 
 from daq import Dataset, FloatArray
 from estimator import Effect, FitOptions
@@ -51,7 +51,7 @@ torque of a loop at the samples alone. Of others it is rounding."""
 EXACT = 1e-7
 LEAST_SLOPE = 1e-8
 """Of a difference, where a loop is at its limit and nothing moves its torque."""
-EVERY = pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
+EVERY = mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
 
 
 def mechanism_of(kind: type[Effect]) -> Mechanism:
@@ -65,7 +65,7 @@ def leg_with(kind: type[Effect]) -> SimulatedLeg:
     effect = kind(1 if kind.per_joint else None)
     why = effect.testable(mechanism_of(kind), True, MECHANISM.actuated)
     if why:
-        pytest.skip(f"a leg with an IMU cannot show it: {why}")
+        skip(f"a leg with an IMU cannot show it: {why}")
     size = [2.0 * s.scale for s in effect.sizes] + [s.grid[len(s.grid) // 2] for s in effect.shapes]
     return simulate_leg(effect, np.array(SIZES.get(effect.name, size)))
 
@@ -113,7 +113,7 @@ def test_its_score_is_the_slope_of_the_likelihood_at_zero_size(kind: type[Effect
                 sizes = np.array([0.0] * len(effect.sizes) + [*shape])
                 sizes[i] = by
                 return problem.motion_equations(x, np.append(BETA, sizes), NOISE).objective
-            assert score[i] == pytest.approx(slope_of(objective, 0.01 * size.scale), rel=0.03), size.name
+            assert score[i] == approx(slope_of(objective, 0.01 * size.scale), rel=0.03), size.name
 
 
 @EVERY
@@ -127,7 +127,7 @@ def test_its_gradient_is_the_slope_of_the_likelihood_at_its_size(kind: type[Effe
         def objective(by: float, i: int = i) -> float:
             return problem.motion_equations(x, leg.beta + by * (np.arange(leg.beta.size) == BETA.size + i),
                                             NOISE).objective
-        assert gradient[i] == pytest.approx(slope_of(objective, 1e-3 * step), rel=2e-3), i
+        assert gradient[i] == approx(slope_of(objective, 1e-3 * step), rel=2e-3), i
 
 
 @EVERY
@@ -139,10 +139,10 @@ def test_what_it_adds_to_encoder_and_torque_follows_the_torque_as_it_says(kind: 
     for channel in (torque_of(1), encoder_of(1)):
         if channel in up:
             expected = found.get(channel, np.zeros(COUNT))
-            assert (up[channel] - down[channel]) / (2.0 * step) == pytest.approx(expected, rel=1e-5, abs=1e-7)
+            assert (up[channel] - down[channel]) / (2.0 * step) == approx(expected, rel=1e-5, abs=1e-7)
 
 
-@pytest.mark.parametrize("kind", [k for k in classes() if issubclass(k, LawEffect)], ids=lambda kind: kind.name)
+@mark.parametrize("kind", [k for k in classes() if issubclass(k, LawEffect)], ids=lambda kind: kind.name)
 def test_the_slopes_of_its_law_by_the_motion_are_those_of_the_law(kind: type[LawEffect]) -> None:
     rng, leg = np.random.default_rng(5), leg_with(kind)
     effect = kind(1)
@@ -160,11 +160,11 @@ def test_the_slopes_of_its_law_by_the_motion_are_those_of_the_law(kind: type[Law
                 values[joint] += by
                 return motion._replace(**{name: values})
             found = (laws.torque(changed(1e-6), where, z) - laws.torque(changed(-1e-6), where, z)) / 2e-6
-            assert slopes[:, feature, joint] == pytest.approx(found, rel=2e-3,
+            assert slopes[:, feature, joint] == approx(found, rel=2e-3,
                                                              abs=LEAST_SLOPE + 1e-4 * np.abs(slopes).max())
     if effect.has_state:  # by the states: along the ends of the intervals, as Newton's method moves them
         by_states = laws.by_states(motion, where, z)[:, :, 0]
-        assert by_states[1] == pytest.approx(laws.torque(motion, where, z + 0.5)[1] * 2.0
+        assert by_states[1] == approx(laws.torque(motion, where, z + 0.5)[1] * 2.0
                                              - laws.torque(motion, where, z - 0.5)[1] * 2.0 - by_states[1])
         v, by_ends = x.v[3:24], laws.gap_slopes(x.v[3:24], z)
         for end, column in np.ndindex(2, 3):
@@ -174,7 +174,7 @@ def test_the_slopes_of_its_law_by_the_motion_are_those_of_the_law(kind: type[Law
                 (rates if column < 2 else states)[end::2, column % 2] += by
                 return laws.gaps(rates, states)[0, ::2]
             found = (gap(1e-6) - gap(-1e-6)) / 2e-6
-            assert by_ends[0, end, column, ::2] == pytest.approx(found, rel=1e-3, abs=1e-6)
+            assert by_ends[0, end, column, ::2] == approx(found, rel=1e-3, abs=1e-6)
 
 
 @EVERY
@@ -190,19 +190,19 @@ def residual(leg: SimulatedLeg) -> float:
     return float(np.sqrt(with_it / without.motion_equations(nominal, leg.beta[: BETA.size], NOISE).objective))
 
 
-@pytest.mark.xfail(strict=True, reason="a simulation takes the link's friction off the torque through the gear, too")
-@pytest.mark.parametrize("kind", [k for k in classes() if issubclass(k, GearEffect)], ids=lambda kind: kind.name)
+@mark.xfail(strict=True, reason="a simulation takes the link's friction off the torque through the gear, too")
+@mark.parametrize("kind", [k for k in classes() if issubclass(k, GearEffect)], ids=lambda kind: kind.name)
 def test_a_record_of_a_gear_with_friction_at_the_link_has_no_residual_at_the_encoder(kind: type[Effect]) -> None:
     leg = simulate_leg(kind(1), np.array(SIZES[kind.name]), link_friction=True)
     point = leg.problem().motion_equations(leg.motion, leg.beta, NOISE)
     assert np.abs(point.residuals["encoder"][:, 1]).max() < 1e-3 * leg.size[0]
 
 
-@pytest.fixture(scope="module")
-def records(request: pytest.FixtureRequest) -> dict[str, list[Dataset]]:
+@fixture(scope="module")
+def records(request: FixtureRequest) -> dict[str, list[Dataset]]:
     """Runs with each effect that this session asks for: one integration."""
     kinds = [item.callspec.params["kind"] for item in request.session.items
-             if isinstance(item, pytest.Function) and item.path == request.path and "records" in item.fixturenames]
+             if isinstance(item, Function) and item.path == request.path and "records" in item.fixturenames]
     return record_hidden(sorted({str(getattr(kind, "name", "")) for kind in kinds} & HIDDEN.keys()))
 
 
@@ -227,7 +227,7 @@ def found_in_a_loop(kind: type[Effect]) -> None:
         half = 0.5 * float(np.ptp(nominal.problem.stage.angle_range[1]))
         found["sag"] = found["lost_share"] / (GAIN * half)
     assert {name: found[name] for name in hidden.sizes} == {
-        name: pytest.approx(value, rel=hidden.within) for name, value in hidden.sizes.items()}
+        name: approx(value, rel=hidden.within) for name, value in hidden.sizes.items()}
     assert model.state.noise.torque[1] < 0.6 * nominal.state.noise.torque[1]
     assert (model.state.noise.encoder < 1.3 * QUANTUM_RAD / np.sqrt(12.0)).all()
     assert abs(found[kind.sizes[0].name]) > 5.0 * model.std()[BETA.size]
@@ -241,13 +241,13 @@ def test_it_is_found_with_its_size_in_a_plant_of_other_code(kind: type[Effect], 
         return
     if kind.name not in HIDDEN:
         assert kind not in library_classes(), "add a plant to tests/support/hidden_effects.py"
-        pytest.skip("a package's effect: its own tests have its plant")
+        skip("a package's effect: its own tests have its plant")
     hidden, effect = HIDDEN[kind.name], kind(1 if kind.per_joint else None)
     nominal, model, found = fitted(effect, records[kind.name], FitOptions(), SENSORS.gear, hidden.begin)
     if "angle_share" in found:
         found["angle"] = found["angle_share"] * nominal.problem.stage.angle_range[1, 1]
     assert {name: found[name] for name in hidden.sizes} == {
-        name: pytest.approx(value, rel=hidden.within) for name, value in hidden.sizes.items()}
+        name: approx(value, rel=hidden.within) for name, value in hidden.sizes.items()}
     noise = model.state.noise
     levels = np.array([noise.gyro[0], *noise.accel[0], noise.torque[1], noise.encoder[1]])
     assert (levels < hidden.noise * LEVELS).all(), levels / LEVELS

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from daq import FloatArray
 from estimator import FitError
@@ -47,8 +48,8 @@ def test_a_load_on_a_gear_is_that_of_the_links_without_a_body_on_top() -> None:
         view = View(m, beta, at, at, np.arange(3), (0.2, 0.8), np.zeros(1, dtype=np.intp), 0.01, np.ones(rows))
         return DirectionalLoadFriction(0).law(at, size, view)
 
-    np.testing.assert_allclose(torque(2), torque(1))
-    np.testing.assert_allclose(torque(1), 0.1 * 0.5 * 9.81 * np.sin(0.4), rtol=1e-3)
+    assert_allclose(torque(2), torque(1))
+    assert_allclose(torque(1), 0.1 * 0.5 * 9.81 * np.sin(0.4), rtol=1e-3)
 
 
 def test_an_encoder_that_is_not_read_has_no_effect() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from estimator import FitOptions, Method, fit
 from estimator.fitting import faults, fit_admissible
@@ -18,7 +18,7 @@ from tests.support.shell import Shell
 ENCODER = FitOptions(sensors="encoder")
 
 
-@pytest.mark.parametrize("method", ["mle", "wls"])
+@mark.parametrize("method", ["mle", "wls"])
 def test_friction_that_pushes_is_held_at_zero_and_said_so(method: Method) -> None:
     run = swing_run(viscous=-0.05, coulomb=0.2)
     free = fit([run], joint1(), ENCODER, method)
@@ -26,7 +26,7 @@ def test_friction_that_pushes_is_held_at_zero_and_said_so(method: Method) -> Non
     k = free.mechanism.column("beta3")
     assert free.beta[k] < -0.03
     assert held.beta[k] == 0.0 and list(held.at_bound) == ["beta3"] and not held.fixed
-    assert held.beta[k + 1] == pytest.approx(fit([run], joint1(), replace(ENCODER, fixed={"beta3": 0.0}),
+    assert held.beta[k + 1] == approx(fit([run], joint1(), replace(ENCODER, fixed={"beta3": 0.0}),
                                                  method).beta[k + 1])
     assert "not scatter" in held.warnings[0] and "beta3" in held.warnings[0]
     assert not held.inadmissible
@@ -43,7 +43,7 @@ def test_a_level_that_is_zero_keeps_an_interval_that_holds_it() -> None:
         low, high = held.ci95()[k]
         assert low == 0.0 and high < 0.02
     first = min(below, key=lambda k: free.beta[k] / free.std[k])  # the others are held in fits that are not known here
-    assert held.ci95()[first, 1] == pytest.approx(upper_end(float(free.beta[first]), float(free.std[first])))
+    assert held.ci95()[first, 1] == approx(upper_end(float(free.beta[first]), float(free.std[first])))
     assert not any("not scatter" in text for text in held.warnings)
     good = swing_run(viscous=0.05, coulomb=0.1)
     plain, same = fit([good], joint1(), ENCODER), fit_admissible([good], joint1(), ENCODER)
@@ -57,7 +57,7 @@ def test_the_interval_of_a_level_below_zero_holds_what_it_says_and_is_never_noth
     for value in (-0.5, -2.0):
         truth = rng.uniform(0.0, 6.0, 2_000_000)
         seen = truth[np.abs(truth + rng.normal(size=truth.size) - value) < 0.05]
-        assert np.mean(seen < upper_end(value, 1.0)) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.05 * 0.95 / seen.size))
+        assert np.mean(seen < upper_end(value, 1.0)) == approx(0.95, abs=4.0 * np.sqrt(0.05 * 0.95 / seen.size))
     ends = [upper_end(-far, 1.0) for far in (1.0, 5.0, 30.0, 36.0, 40.0, 300.0)]
     assert ends == sorted(ends, reverse=True) and ends[-1] > 0.0
 

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark
 from scipy.interpolate import CubicSpline
 
 from daq import Dataset
@@ -22,12 +23,12 @@ from tests.support.timed_leg import record as record_timed
 
 
 def rubbing(seed: int, knee_nm: float, rate_hz: float = 100.0, closed: bool = True) -> tuple[Leg, Dataset]:
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     leg = replace(random_leg(rng), coulomb=(0.03, knee_nm))
     return leg, sample(move(leg, rng, closed=closed), rng, rate_hz)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def errors() -> np.ndarray:
     """(fits, 9) errors over standard deviations of legs under position control at 1 kHz, logged at 100 Hz."""
     found = []
@@ -51,7 +52,7 @@ def test_inertias_are_not_low_by_the_torque_s_curve(errors: np.ndarray) -> None:
 
 
 def test_a_held_torque_is_recognised() -> None:
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     leg = random_leg(rng)
     run = record(leg, rng, seconds=8, hold="zero", high=8.0)
     found = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
@@ -70,7 +71,7 @@ def test_a_controller_s_torque_is_recognised_as_smooth() -> None:
     assert found.noise.get("unseen2_nm", 0.0) < line.noise["unseen2_nm"]  # a line between samples misses the curve
 
 
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_the_noise_of_the_measured_torque_decides_nothing(sensors: str) -> None:
     """Where the holds can hardly be told apart the straight line was ahead by 7 to 10 on every leg (encoder)."""
     for seed in (3000, 3001):
@@ -80,7 +81,7 @@ def test_the_noise_of_the_measured_torque_decides_nothing(sensors: str) -> None:
 
 
 def test_a_torque_with_corners_at_the_samples_is_recognised() -> None:
-    rng = np.random.default_rng(3000)
+    rng = default_rng(3000)
     leg = random_leg(rng)
     found = fit([record(leg, rng, high=8.0)], leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
     assert found.hold == "linear" and (found.hold_margin or 0.0) > 20.0
@@ -106,7 +107,7 @@ def test_a_smooth_torque_s_integral_and_first_moment() -> None:
 
 
 def test_slopes_are_those_of_scipy_s_spline() -> None:
-    u = np.random.default_rng(1).normal(size=(400, 2)).cumsum(axis=0)
+    u = default_rng(1).normal(size=(400, 2)).cumsum(axis=0)
     wanted = CubicSpline(np.arange(400), u).derivative()(np.arange(400))
     assert_allclose(spline_slopes(u)[40:-40], wanted[40:-40], atol=1e-12)
     line = np.arange(3.0)[:, None] * [[2.0, -1.0]]
@@ -114,12 +115,12 @@ def test_slopes_are_those_of_scipy_s_spline() -> None:
 
 
 def timed(timing: Timing) -> tuple[Mechanism, list[Dataset]]:
-    rng = np.random.default_rng(11)
+    rng = default_rng(11)
     leg = random_leg(rng)
     return leg2(lever_arm=leg.lever), [record_timed(leg, rng, timing, seconds=8.0, name=f"r{k}") for k in range(4)]
 
 
-@pytest.mark.parametrize("timing, hold", [
+@mark.parametrize("timing, hold", [
     (Timing(200), "zero"), (Timing(1000, 5), "zero/5"), (Timing(400, 2), "zero/2"),
     (Timing(200, between="average"), "past"),
     (Timing(200, delay_s=0.007, loop="pd"), "zero"), (Timing(100, delay_s=0.012), "zero"),
@@ -130,16 +131,16 @@ def test_hold_and_delay_are_chosen_together(timing: Timing, hold: str) -> None:
     assert fit_nominal(runs, mechanism, FitOptions(hold="auto"))[0] == hold
 
 
-@pytest.mark.parametrize("between, hold", [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
+@mark.parametrize("between, hold", [("average", "past/2"), ("zero", "zero/2"), ("ramp", "smooth")])
 def test_the_hold_of_an_averaged_record_is_that_of_its_own_samples(between: str, hold: str) -> None:
     """Half a sample of the file is a quarter of one of the grid: a mean over the past was 2.5 ms of a delay."""
     mechanism, runs = timed(Timing(200, between=between))
     coarse = [align_table(RawTable(run.name, run.time_s, run.columns), 100.0) for run in runs]
-    assert coarse[0].averaged == pytest.approx(2.0) and runs[0].averaged == 1.0
+    assert coarse[0].averaged == approx(2.0) and runs[0].averaged == 1.0
     assert fit_nominal(coarse, mechanism, FitOptions(hold="auto"))[:1] == (hold,)
 
 
-@pytest.mark.parametrize("hold", HOLDS)
+@mark.parametrize("hold", HOLDS)
 def test_every_hold_acts_as_late_as_it_says(hold: str) -> None:
     """In the mean over an interval, of a ramp."""
     u = np.arange(60.0)[:, None]
@@ -150,9 +151,9 @@ def test_every_hold_acts_as_late_as_it_says(hold: str) -> None:
     assert_allclose(mean, np.arange(30, 40) + 0.5 - lag(hold), atol=1e-9)
 
 
-@pytest.mark.parametrize("late", [0.2, 0.5, 1.0])
+@mark.parametrize("late", [0.2, 0.5, 1.0])
 def test_a_held_torque_steps_within_an_interval(late: float) -> None:
-    u = np.random.default_rng(3).normal(size=(20, 2))
+    u = default_rng(3).normal(size=(20, 2))
     values = Collocation(leg2(), 0.01, "zero", late).torque(u, slice(0, 19))[0]
     fine = (np.arange(20000) + 0.5) / 20000
     acting = np.where(fine[:, None] < late, u[:-1, 0], u[1:, 0])
@@ -163,7 +164,7 @@ def test_a_held_torque_steps_within_an_interval(late: float) -> None:
 
 def test_a_short_record_of_a_late_torque_still_has_a_hold() -> None:
     """Its segments are shorter than the delays that are looked for."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     leg = random_leg(rng)
     run = record_timed(leg, rng, Timing(500, delay_s=0.015), seconds=3.0)
     short = [replace(run.part(slice(k, k + 60)), name=f"r{k}") for k in range(300, 1400, 60)]

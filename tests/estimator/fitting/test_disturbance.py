@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, fixture, mark
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
@@ -32,7 +32,7 @@ LEVEL, CONSTANT, WHITE = 0.02, 0.1, 0.02
 Made = tuple[Leg, Dataset, FitResult]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def wandering() -> Made:
     rng = np.random.default_rng(102)
     leg = random_leg(rng)
@@ -43,9 +43,9 @@ def wandering() -> Made:
 def test_level_and_time_constant_are_found(wandering: Made) -> None:
     leg, _, found = wandering
     assert "disturbance1_nm" not in found.noise
-    assert found.noise["disturbance2_nm"] == pytest.approx(LEVEL, rel=0.3)
-    assert found.noise["disturbance2_s"] == pytest.approx(CONSTANT, rel=0.5)
-    assert found.noise["torque_nm"] == pytest.approx(WHITE, rel=0.1)
+    assert found.noise["disturbance2_nm"] == approx(LEVEL, rel=0.3)
+    assert found.noise["disturbance2_s"] == approx(CONSTANT, rel=0.5)
+    assert found.noise["torque_nm"] == approx(WHITE, rel=0.1)
     assert np.mean(np.abs(found.beta - leg.beta()) < found.half_width) >= 8 / 9
     assert found.trajectories[0].disturbance is not None
     assert "coloured disturbance torque at joint 2" in " ".join(found.assumptions)
@@ -104,7 +104,7 @@ def test_an_effect_of_a_fit_that_went_astray_explains_no_disturbance(wandering: 
     assert found[0] is not None and found[1] is None
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def likelihood(wandering: Made) -> MarginalLikelihood:
     """At the plain fit of the record and of half of it as a second run; near rest friction is unknown."""
     leg, data, _ = wandering
@@ -118,8 +118,8 @@ def likelihood(wandering: Made) -> MarginalLikelihood:
     return disturbance_likelihood(signals, problem, state)
 
 
-@pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize("level, constant, white", [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
+@mark.parametrize("joint", [0, 1])
+@mark.parametrize("level, constant, white", [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
                                                           (0.5 * OFF * 0.02, 0.1, 0.02)])
 def test_slopes_are_differences(likelihood: MarginalLikelihood, joint: int, level: float, constant: float,
                                 white: float) -> None:
@@ -136,7 +136,7 @@ def test_slopes_are_differences(likelihood: MarginalLikelihood, joint: int, leve
     h = 4e-3  # a smaller step shows the digits that log p, 1e5, is rounded to
     for k, one in enumerate(h * np.eye(3)):
         near, far = (likelihood(at(centre + m * one)) - likelihood(at(centre - m * one)) for m in (1, 2))
-        assert slope[k] == pytest.approx((8.0 * near - far) / (12.0 * h), rel=1e-6, abs=2e-3)
+        assert slope[k] == approx((8.0 * near - far) / (12.0 * h), rel=1e-6, abs=2e-3)
 
 
 def test_a_search_ends_at_the_top(likelihood: MarginalLikelihood) -> None:

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from daq import Dataset
 from estimator import FitError, FitOptions, fit
-from estimator.fitting.fit_each import fit_each
+from estimator.fitting import fit_each
 from estimator.fitting.hekf import Filter, _advance_covariance
 from estimator.model import leg2
 from studies.biped3 import CASES
@@ -24,7 +25,7 @@ def leg_filter(imu: bool) -> Filter:
 
 
 def states(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = np.concatenate([rng.normal(size=(3, 4)), np.tile(Leg().beta(), (3, 1))], axis=1)
     return x, np.column_stack([np.zeros(3), rng.normal(size=3)])
 
@@ -46,7 +47,7 @@ def test_jacobians_are_the_derivatives(imu: bool) -> None:
 
 def test_covariance_follows_the_transposed_equation() -> None:
     # dP/dt = A P + P A^T + Q has the closed solution of Van Loan's block exponential
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     a, q = rng.normal(size=(4, 4)), np.diag(rng.uniform(0.1, 1.0, 4))
     root = rng.normal(size=(4, 4))
     p0, t = root @ root.T, 0.05
@@ -84,7 +85,7 @@ def test_records_together_are_records_alone() -> None:
 
 def test_leg_with_imu_is_found() -> None:
     leg = Leg()
-    run = record(leg, np.random.default_rng(3), seconds=4.0)
+    run = record(leg, default_rng(3), seconds=4.0)
     result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), "hekf")
     assert_allclose(result.beta[:5], leg.beta()[:5], rtol=0.05)
     assert np.all(result.std > 0.0)

@@ -1,7 +1,7 @@
 """How late an IMU is, found before a fit and in it; nothing of the plant is the estimator's."""
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from estimator import FitOptions, fit
 from estimator.fitting import free_mask
@@ -15,7 +15,7 @@ CUTOFF_HZ = 50.0
 FILTER_S = 1.0 / (2.0 * np.pi * CUTOFF_HZ)
 
 
-@pytest.mark.parametrize("timing, age_s", [
+@mark.parametrize("timing, age_s", [
     (Timing(imu_age_s=0.005, imu_cutoff_hz=CUTOFF_HZ), 0.005 + FILTER_S),
     (Timing(1000, 5, loop="pd", imu_cutoff_hz=CUTOFF_HZ), FILTER_S),
     (Timing(), 0.0)])
@@ -24,7 +24,7 @@ def test_a_late_imu_is_seen_before_any_fit(timing: Timing, age_s: float) -> None
     leg = random_leg(rng)
     run, mechanism, options = record(leg, rng, timing), leg2(lever_arm=leg.lever), FitOptions()
     found = rough_age(split_signals([run], mechanism, options), mechanism, options, *free_mask(mechanism, options))
-    assert found == pytest.approx(age_s, abs=3e-4)
+    assert found == approx(age_s, abs=3e-4)
 
 
 def test_a_fit_corrects_a_late_imu_and_says_so() -> None:
@@ -34,5 +34,5 @@ def test_a_fit_corrects_a_late_imu_and_says_so() -> None:
     found = fit(runs, leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
     (told,) = (text for text in found.assumptions if "IMU" in text)
     assert "late against encoder and torque" in told and "corrected" in told
-    assert float(told.split()[3]) == pytest.approx(1.6, abs=0.25)
-    assert found.beta[5] == pytest.approx(leg.beta()[5], rel=0.3)  # of an uncorrected age negative damping
+    assert float(told.split()[3]) == approx(1.6, abs=0.25)
+    assert found.beta[5] == approx(leg.beta()[5], rel=0.3)  # of an uncorrected age negative damping

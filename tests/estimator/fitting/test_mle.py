@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from daq import Dataset
 from estimator import FitError, FitOptions, Method, fit
@@ -15,7 +16,7 @@ RIGID = slice(0, 5)
 def legs() -> list[tuple[Leg, Dataset, Dataset]]:
     out = []
     for seed in range(500, 505):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         leg = random_leg(rng)
         run = record(leg, rng, name="fit")
         out.append((leg, run, record(leg, rng, name="check") if seed < 503 else run))  # who checks, checks three
@@ -69,7 +70,7 @@ def test_imu_path_never_reads_the_pivot_encoder(legs: list[tuple[Leg, Dataset, D
 @pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_the_hold_is_part_of_the_model(hold: str) -> None:
     leg = Leg()
-    run = record(leg, np.random.default_rng(510), seconds=12, hold=hold, high=8.0)
+    run = record(leg, default_rng(510), seconds=12, hold=hold, high=8.0)
     right = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu", hold=hold))
     wrong = "linear" if hold == "zero" else "zero"
     other = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu", hold=wrong))
@@ -81,7 +82,7 @@ def test_the_hold_is_part_of_the_model(hold: str) -> None:
 def test_a_fixed_parameter_sets_the_scale_of_a_free_swing() -> None:
     leg = Leg(viscous=(0.002, 0.002), coulomb=(0.002, 0.001))
     tau = np.concatenate([np.full(100, 1.2), np.zeros(1900)])
-    run = record(leg, np.random.default_rng(511), tau=tau, torque=0.0)
+    run = record(leg, default_rng(511), tau=tau, torque=0.0)
     swing = run.part(slice(110, 2000))
     options = FitOptions(sensors="encoder")
     with pytest.raises(FitError, match="--fix"):

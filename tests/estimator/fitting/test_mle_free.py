@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 from scipy.optimize import least_squares
 
 from estimator import FitOptions, Method, fit
@@ -20,7 +21,7 @@ from tests.support.mujoco_leg import Leg, record
 
 def leg_problem(sensors: str, seconds: float) -> FreeProblem:
     leg = Leg()
-    run = record(leg, np.random.default_rng(8), seconds=seconds)
+    run = record(leg, default_rng(8), seconds=seconds)
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(sensors=sensors)
     return build_problem(split_signals([run], mechanism, options), mechanism, options)
 
@@ -32,14 +33,14 @@ def walker_problem(case: int) -> FreeProblem:
 
 
 def test_difference_matrix_is_the_central_difference() -> None:
-    x = np.random.default_rng(1).normal(size=12)
+    x = default_rng(1).normal(size=12)
     assert_allclose((difference_matrix(12, 0.1) @ x)[1:-1], central_difference(x, 0.1)[1:-1])
 
 
 def test_torque_goes_through_the_low_pass_of_34() -> None:
     """At the rig's cutoff; with the recipe of section V, which filters the absolute angle alone, only where it is asked
     for."""
-    run = record(Leg(), np.random.default_rng(8), seconds=2.0)
+    run = record(Leg(), default_rng(8), seconds=2.0)
     found = build_problem(split_signals([run], leg2(), FitOptions()), leg2(), FitOptions(cutoff_hz=6.0))
     assert_allclose(found.torque[:, 1], lowpass(run["tau2_nm"], 6.0, 100.0))
     mechanism, options = motor_mechanism(), case_options(CASES[2])
@@ -51,14 +52,14 @@ def test_torque_goes_through_the_low_pass_of_34() -> None:
     assert smooth < 0.3 * rough
 
 
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_jacobian_is_the_derivative(sensors: str) -> None:
     problem = leg_problem(sensors, 0.6)
     w = first_latents(problem)
     beta = Leg().beta()
     latents, by_beta = problem.jacobian(w, beta)
     dense = latents.toarray()
-    for k in np.random.default_rng(2).choice(w.size, 25, replace=False):
+    for k in default_rng(2).choice(w.size, 25, replace=False):
         d = np.zeros(w.size)
         d[k] = 1e-6
         numeric = (problem.residual(w + d, beta) - problem.residual(w - d, beta)) / 2e-6
@@ -76,15 +77,15 @@ def test_minimum_agrees_with_a_general_solver() -> None:
     check = least_squares(problem.residual, first_latents(problem), x_scale="jac", xtol=1e-10, ftol=1e-10,
                           gtol=1e-10)
     assert found.converged
-    assert found.objective == pytest.approx(2.0 * check.cost, rel=1e-6)
+    assert found.objective == approx(2.0 * check.cost, rel=1e-6)
     assert_allclose(found.beta, problem.best_beta(problem.regressor(check.x)), rtol=1e-3)
 
 
-@pytest.mark.parametrize("method, latent, close", [("mle", "free", 0.06), ("rls", "trajectory", 0.08)])
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("method, latent, close", [("mle", "free", 0.06), ("rls", "trajectory", 0.08)])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_leg_is_found_as_well_as_differences_allow(sensors: str, method: Method, latent: str, close: float) -> None:
     leg = Leg()
-    run = record(leg, np.random.default_rng(3))
+    run = record(leg, default_rng(3))
     result = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors=sensors, latent=latent), method)
     assert result.method == method + "-free" * (latent == "free") and result.converged
-    np.testing.assert_allclose(result.beta[:5], leg.beta()[:5], rtol=close)
+    assert_allclose(result.beta[:5], leg.beta()[:5], rtol=close)

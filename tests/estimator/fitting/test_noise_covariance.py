@@ -7,7 +7,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, mark, raises
 from scipy.optimize import minimize
 
 from daq import Dataset, FloatArray
@@ -45,7 +46,7 @@ class Told(NamedTuple):
         return float(np.exp(0.5 * np.mean(np.log(ratio))))
 
 
-def disturbed(clean: Dataset, covariance: FloatArray, rng: np.random.Generator) -> Dataset:
+def disturbed(clean: Dataset, covariance: FloatArray, rng: Generator) -> Dataset:
     """The leg's record without a pivot encoder, its accelerometer's noise of this covariance (2, 2)."""
     count = len(clean)
     accel = rng.multivariate_normal(np.zeros(2), covariance, size=count)
@@ -66,11 +67,11 @@ def fits(runs: list[Dataset], mechanism: Mechanism, truth: FloatArray, options: 
 def legs(count: int = FEW) -> dict[str, Told]:
     """The same `count` records of 10 s of a leg by MuJoCo, fitted with one level for both axes, with one each, and with
     their correlation."""
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     leg = random_leg(rng)
     clean = record(leg, rng, seconds=10.0, gyro=0.0, accel=0.0, torque=0.0, counts=2**24, friction_velocity=ROUND)
     covariance = np.array([[X * X, RHO * X * Y], [RHO * X * Y, Y * Y]])
-    draws = np.random.default_rng(11)
+    draws = default_rng(11)
     runs = [disturbed(clean, covariance, draws) for _ in range(count)]
     mechanism = leg2(lever_arm=leg.lever, velocity_scale=ROUND)
     own = FitOptions(sensors="imu", noise={"passive_nm": PIVOT})
@@ -79,7 +80,7 @@ def legs(count: int = FEW) -> dict[str, Told]:
             for name, options in (("pooled", pooled), ("own", own), ("told", replace(own, accel_correlation=RHO)))}
 
 
-@pytest.mark.parametrize("name", ["own", "told"])
+@mark.parametrize("name", ["own", "told"])
 def test_both_axes_levels_are_found(name: str) -> None:
     """1000 samples tell a level to 2.2 % if nothing else is sought; two thirds of those of x go for the motion.
 
@@ -87,19 +88,19 @@ def test_both_axes_levels_are_found(name: str) -> None:
     """
     levels = legs()[name].levels
     mean, spread = levels.mean(axis=0), levels.std(axis=0)
-    assert mean[:2] == pytest.approx([X, Y], rel=0.05)
+    assert mean[:2] == approx([X, Y], rel=0.05)
     assert spread[0] < 0.06 * X and spread[1] < 0.03 * Y
-    assert mean[2] == pytest.approx(np.sqrt((X * X + Y * Y) / 2), rel=0.02)
+    assert mean[2] == approx(np.sqrt((X * X + Y * Y) / 2), rel=0.02)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["own", "told"])
+@mark.slow
+@mark.parametrize("name", ["own", "told"])
 def test_intervals_hold_what_they_say(name: str) -> None:
     """Nine parameters of a fit share its noise; 40 of them put 95 % within about 2 %."""
     assert 0.91 < legs(FITS)[name].covered() < 0.985
 
 
-@pytest.mark.slow
+@mark.slow
 def test_parameters_are_nearer_by_each_thing_that_is_known() -> None:
     found = legs(FITS)
     own, told = found["own"].rms_over(found["pooled"]), found["told"].rms_over(found["pooled"])
@@ -107,7 +108,7 @@ def test_parameters_are_nearer_by_each_thing_that_is_known() -> None:
     assert told < 0.97 * own
 
 
-def arm(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def arm(rng: Generator, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Angles and torques (N, 2) of an arm with two motors, by (62) written out, and its nine parameters."""
     time = np.arange(count) / 100.0
     w, phase = rng.uniform(0.7, 9.0, (5, 2)), rng.uniform(0.0, 2.0 * np.pi, (5, 2))
@@ -131,7 +132,7 @@ def arm_run(q: FloatArray, tau: FloatArray) -> Dataset:
 @cache
 def arms(count: int = FEW) -> dict[str, Told]:
     """`count` records of 10 s of one arm, torques' noise 3 : 1 and correlated by 0.8."""
-    levels, rng = np.array([0.06, 0.02]), np.random.default_rng(5)
+    levels, rng = np.array([0.06, 0.02]), default_rng(5)
     q, tau, beta = arm(rng, 1000)
     covariance = np.outer(levels, levels) * np.array([[1.0, RHO], [RHO, 1.0]])
     runs = []
@@ -150,13 +151,13 @@ def arms(count: int = FEW) -> dict[str, Told]:
 def test_torque_levels_that_correlate_are_found() -> None:
     """Taken for independent they come out a fifth low: what two torques have in common goes to the motion."""
     found = arms()
-    assert found["told"].levels.mean(axis=0) == pytest.approx([0.06, 0.02, 0.06], rel=0.03)
+    assert found["told"].levels.mean(axis=0) == approx([0.06, 0.02, 0.06], rel=0.03)
     assert np.all(found["alone"].levels.mean(axis=0) < 0.85 * np.array([0.06, 0.02, 0.06]))
     assert np.array_equal(found["all told"].levels, np.tile([0.06, 0.02, 0.06], (FEW, 1)))
     assert found["told"].rms_over(found["alone"]) < 0.8
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_known_correlation_of_torques_brings_parameters_nearer() -> None:
     found = arms(FITS)
     for name in ("told", "all told"):
@@ -166,7 +167,7 @@ def test_a_known_correlation_of_torques_brings_parameters_nearer() -> None:
 
 def test_levels_at_a_given_correlation_are_the_likeliest() -> None:
     """Against a search of -2 log likelihood, N log|Sigma| + tr(Sigma^-1 S), S of another correlation."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     root = np.tril(rng.normal(size=(3, 3)))
     s = root @ root.T + 0.5 * np.eye(3)
     size = np.sqrt(np.diag(s))
@@ -177,21 +178,21 @@ def test_levels_at_a_given_correlation_are_the_likeliest() -> None:
         return float(np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, s)))
 
     likeliest = np.exp(minimize(cost, np.log(size), tol=1e-12).x)
-    assert size * np.sqrt(excess_variance(declared, s / np.outer(size, size))) == pytest.approx(likeliest, rel=1e-5)
-    assert excess_variance(declared, declared) == pytest.approx(np.ones(3))
+    assert size * np.sqrt(excess_variance(declared, s / np.outer(size, size))) == approx(likeliest, rel=1e-5)
+    assert excess_variance(declared, declared) == approx(np.ones(3))
 
 
-@pytest.mark.parametrize("method, latent", [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
+@mark.parametrize("method, latent", [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
                                                 ("mle", "free")])
 def test_a_method_that_would_not_use_a_correlation_refuses_it(method: Method, latent: str) -> None:
-    q, tau, _ = arm(np.random.default_rng(1), 300)
+    q, tau, _ = arm(default_rng(1), 300)
     options = FitOptions(sensors="encoder", latent=latent, torque_correlation=((1.0, 0.5), (0.5, 1.0)))
-    with pytest.raises(FitError, match=r"declares torque_correlation: fit by --method mle, or take the key out"):
+    with raises(FitError, match=r"declares torque_correlation: fit by --method mle, or take the key out"):
         fit([arm_run(q, tau)], leg2(actuated=(0, 1)), options, method)
 
 
-@pytest.mark.parametrize("rows, axes", [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
+@mark.parametrize("rows, axes", [(((1.0, 2.0), (2.0, 1.0)), 0.0), (((1.0, 0.2), (0.3, 1.0)), 0.0),
                                             (((0.9, 0.0), (0.0, 1.0)), 0.0), ((), 1.0)])
 def test_options_refuse_what_is_no_correlation(rows: tuple[tuple[float, ...], ...], axes: float) -> None:
-    with pytest.raises(ValueError, match="_correlation"):
+    with raises(ValueError, match="_correlation"):
         FitOptions(torque_correlation=rows, accel_correlation=axes)

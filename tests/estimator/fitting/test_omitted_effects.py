@@ -1,6 +1,6 @@
 """Effects that a fit lacks: found where they would move its parameters, not found on legs that have none."""
 
-import pytest
+from pytest import approx, mark
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
@@ -14,15 +14,15 @@ def fitted(leg: Leg, runs: list[Dataset], options: FitOptions = OPTIONS) -> FitR
     return fit(runs, leg2(lever_arm=leg.lever), options)
 
 
-@pytest.mark.parametrize("count, seconds", [(1, 20.0), (4, 20.0), (1, 3.5)])
-@pytest.mark.parametrize("seed", [70, 71, 72])
+@mark.parametrize("count, seconds", [(1, 20.0), (4, 20.0), (1, 3.5)])
+@mark.parametrize("seed", [70, 71, 72])
 def test_a_leg_without_a_fault_lacks_nothing(seed: int, count: int, seconds: float) -> None:
     leg, runs = recorded(seed, count, seconds)
     result = fitted(leg, runs)
     assert result.converged and result.omitted == ()
 
 
-@pytest.mark.parametrize("count, error", [(1, 0.02), (4, 0.02), (1, -0.02)])
+@mark.parametrize("count, error", [(1, 0.02), (4, 0.02), (1, -0.02)])
 def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: float) -> None:
     """The true parameters lie outside their intervals, about as far as is said."""
     leg, runs = recorded(73, count, 20.0)
@@ -32,7 +32,7 @@ def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: f
     scale = found["gyro_scale"]
     k = result.mechanism.column(scale.parameter)
     missed = abs(result.beta[k] - leg.beta()[k]) / result.half_width[k]
-    assert missed > 1.0 and scale.half_widths == pytest.approx(missed, rel=0.4)
+    assert missed > 1.0 and scale.half_widths == approx(missed, rel=0.4)
 
 
 def test_a_fit_that_is_not_asked_does_not_look() -> None:

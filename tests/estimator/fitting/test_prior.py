@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, raises
 
 from estimator import FitError, FitOptions, fit
 from estimator.fitting import next_measurement
@@ -19,10 +19,10 @@ SMALL = record(LEG, np.random.default_rng(3), seconds=10.0, amplitude=0.3, high=
 
 def test_rigid_parameters_are_those_of_the_contract_and_slopes_are_their_derivatives() -> None:
     value, slope = rigid_parameters(MECHANISM, BODIES)
-    assert value == pytest.approx(LEG.beta()[:5], rel=1e-12)
+    assert value == approx(LEG.beta()[:5], rel=1e-12)
     for j, name in enumerate(BODIES):
         more, _ = rigid_parameters(MECHANISM, {**BODIES, name: BODIES[name] + 1e-6})
-        assert slope[:, j] == pytest.approx((more - value) / 1e-6, abs=1e-5)
+        assert slope[:, j] == approx((more - value) / 1e-6, abs=1e-5)
 
 
 def test_formulas_say_what_meanings_say() -> None:
@@ -39,7 +39,7 @@ def test_a_length_ties_two_parameters_and_nothing_else() -> None:
     along = np.zeros(9)
     along[2], along[4] = 1.0, -LEG.l1
     expected = np.outer(along, along) / (std * LEG.beta()[4]) ** 2
-    assert prior.information == pytest.approx(expected, rel=0.05, abs=1e-3 * expected.max())
+    assert prior.information == approx(expected, rel=0.05, abs=1e-3 * expected.max())
     assert np.abs(prior.gradient).max() < 1e-6 * np.sqrt(expected.max())
 
 
@@ -50,7 +50,7 @@ def test_the_gradient_is_that_of_the_sum_of_squares() -> None:
     for k in range(5):
         step = np.eye(9)[k] * 1e-5
         slope = (prior_at(MECHANISM, known, beta + step).objective - prior_at(MECHANISM, known, beta - step).objective)
-        assert prior.gradient[k] == pytest.approx(slope / 4e-5, rel=0.05, abs=0.5)
+        assert prior.gradient[k] == approx(slope / 4e-5, rel=0.05, abs=0.5)
 
 
 def test_a_known_parameter_is_combined_as_two_measurements() -> None:
@@ -63,17 +63,17 @@ def test_a_known_parameter_is_combined_as_two_measurements() -> None:
     value = float(alone.beta[4]) + std
     both = fit([short], MECHANISM, replace(options, prior={"beta5": (value, std)}))
     assert not alone.agreement.disagree
-    assert both.beta[4] == pytest.approx(alone.beta[4] + 0.5 * std, abs=0.1 * std)
-    assert both.std[4] == pytest.approx(std / np.sqrt(2.0), rel=0.1)
+    assert both.beta[4] == approx(alone.beta[4] + 0.5 * std, abs=0.1 * std)
+    assert both.std[4] == approx(std / np.sqrt(2.0), rel=0.1)
     assert [one.name for one in both.prior] == ["beta5"]
 
 
 def test_what_runs_say_of_a_known_value_is_told_apart_from_the_prior() -> None:
     covariance = np.diag((0.002 * LEG.beta()) ** 2)
     (length,) = prior_values(MECHANISM, {"l1": (LEG.l1 + 0.05, 0.005)}, LEG.beta(), covariance)
-    assert length.fitted == pytest.approx(LEG.l1, abs=0.003) and length.contradiction > 5.0
+    assert length.fitted == approx(LEG.l1, abs=0.003) and length.contradiction > 5.0
     (mass,) = prior_values(MECHANISM, {"m1": (2.0, 0.1)}, LEG.beta(), covariance)
-    assert (mass.fitted, mass.fitted_std, mass.contradiction) == pytest.approx((2.0, 0.1, 0.0), abs=1e-3)
+    assert (mass.fitted, mass.fitted_std, mass.contradiction) == approx((2.0, 0.1, 0.0), abs=1e-3)
 
 
 def test_a_value_that_is_far_off_is_told_though_the_fit_follows_it() -> None:
@@ -86,11 +86,11 @@ def test_a_value_that_is_far_off_is_told_though_the_fit_follows_it() -> None:
 
 
 def test_names_and_methods_that_know_no_prior_are_refused() -> None:
-    with pytest.raises(FitError, match=r"\[prior\] m3 is no parameter of leg2"):
+    with raises(FitError, match=r"\[prior\] m3 is no parameter of leg2"):
         fit([SMALL], MECHANISM, FitOptions(prior={"m3": (1.0, 0.1)}))
-    with pytest.raises(FitError, match="--method wls uses no prior"):
+    with raises(FitError, match="--method wls uses no prior"):
         fit([SMALL], MECHANISM, FitOptions(prior={"l1": (0.3, 0.1)}), "wls")
-    with pytest.raises(ValueError, match="no standard deviation above zero"):
+    with raises(ValueError, match="no standard deviation above zero"):
         FitOptions(prior={"l1": (0.3, 0.0)})
 
 
@@ -102,4 +102,4 @@ def test_the_value_named_next_shrinks_the_intervals_as_promised() -> None:
     known = fit([SMALL], MECHANISM, FitOptions(sensors="imu", prior={found.name: (true[found.name], found.std)}))
     for name, share in found.widths.items():
         k = MECHANISM.column(name)
-        assert known.own_std[k] / result.own_std[k] == pytest.approx(share, abs=0.15)
+        assert known.own_std[k] / result.own_std[k] == approx(share, abs=0.15)

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from estimator import fit
-from estimator.fitting import known_noise
-from estimator.fitting.fit_each import fit_each
+from estimator.fitting import fit_each, known_noise
 from estimator.fitting.profile_likelihood import expected_misfit, search, suits
 from estimator.likelihood import BatchProblem, Records, slack_of
 from estimator.model import Collocation

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, fixture, mark
 
 from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult, fit
@@ -11,7 +12,7 @@ from estimator.fitting.run_levels import Column, RunLevels, run_levels
 from estimator.likelihood import LatentProblem, Latents, Noise, NoiseScale
 from estimator.model import ImuPlace, leg2
 from estimator.signals import imu_columns, split_signals
-from experiments.reports.fit_text import fit_text
+from experiments.reports import fit_text
 from tests.support.fits import document_of
 from tests.support.mujoco_leg import Leg, random_leg, record
 from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, disturbed, move, random_tree, torques
@@ -23,16 +24,16 @@ ROUND = 0.05
 Plant = tuple[Leg, list[Dataset]]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def plant() -> Plant:
     """A leg of MuJoCo and four runs of 8 s of it, without noise."""
-    rng = np.random.default_rng(911)
+    rng = default_rng(911)
     leg = random_leg(rng)
     return leg, [record(leg, rng, seconds=8.0, gyro=0.0, accel=0.0, torque=0.0, counts=2**24, friction_velocity=ROUND,
                         name=f"run{k}") for k in range(RUNS)]
 
 
-def noisy(plant: Plant, rng: np.random.Generator, times: float, samples: int = 800) -> list[Dataset]:
+def noisy(plant: Plant, rng: Generator, times: float, samples: int = 800) -> list[Dataset]:
     """Its runs with noise; the one that is NOISY has `times` as much, and so many samples."""
     runs = []
     for k, run in enumerate(plant[1]):
@@ -46,7 +47,7 @@ def noisy(plant: Plant, rng: np.random.Generator, times: float, samples: int = 8
 
 def fits(plant: Plant, times: float, sensors: str, count: int = FITS, samples: int = 800) -> list[FitResult]:
     mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
-    return [fit(noisy(plant, np.random.default_rng([3, k]), times, samples), mechanism, FitOptions(sensors=sensors))
+    return [fit(noisy(plant, default_rng([3, k]), times, samples), mechanism, FitOptions(sensors=sensors))
             for k in range(count)]
 
 
@@ -54,7 +55,7 @@ def error(plant: Plant, found: list[FitResult]) -> FloatArray:
     return np.array([f.beta / plant[0].beta() - 1.0 for f in found])
 
 
-@pytest.mark.parametrize("sensors, channels", [
+@mark.parametrize("sensors, channels", [
     ("imu", {"gyro_radps": 0.01, "accel_y_mps2": 0.05, "torque2_nm": 0.02, "encoder2_rad": 3e-4}),
     ("encoder", {"torque2_nm": 0.02, "encoder1_rad": 3e-4, "encoder2_rad": 3e-4})])
 def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: str, channels: dict[str, float]) -> None:
@@ -63,7 +64,7 @@ def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: st
     for name, level in channels.items():
         levels = np.mean([f.run_noise.levels[name] for f in found if f.run_noise is not None], axis=0)
         told = [TIMES if k == NOISY else 1.0 for k in range(RUNS)]
-        assert levels == pytest.approx(level * np.array(told), rel=0.15)
+        assert levels == approx(level * np.array(told), rel=0.15)
     spread = [np.exp(np.mean(np.log(np.sqrt(np.mean(error(plant, some) ** 2, axis=0))))) for some in (found, quiet)]
     assert spread[0] < 1.4 * spread[1]  # with three runs of four 1.15; with one level for all of them 2.2
     held = np.abs(error(plant, found)) < np.array([f.half_width for f in found]) / plant[0].beta()
@@ -81,42 +82,42 @@ def levels_of(noise: FloatArray, lengths: list[int], taken: float = 0.0) -> RunL
 
 
 def test_runs_alike_get_levels_of_their_own_seldom() -> None:
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     alarms = [levels_of(rng.normal(size=3000), [1000, 100, 900, 1000]).differ for _ in range(400)]
     assert sum(alarms) <= 12  # 1 % is chance
 
 
 def test_what_differs_within_a_run_does_not_tell_runs_apart() -> None:
     """Loud and quiet seconds, drawn alike in every run."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     alarms = [levels_of(np.repeat(np.exp(0.5 * rng.normal(size=32)), 125) * rng.normal(size=4000), [1000] * 4).differ
               for _ in range(200)]
     assert sum(alarms) <= 8
 
 
 def test_levels_are_drawn_to_the_mean_by_what_a_run_does_not_know() -> None:
-    rng, drawn, lengths = np.random.default_rng(6), [], [1000, 1000, 1000, 1000, 50]
+    rng, drawn, lengths = default_rng(6), [], [1000, 1000, 1000, 1000, 50]
     true = np.repeat([1.0, 1.5, 0.7, 1.2, 2.0], lengths)
     for _ in range(100):
         found = levels_of(true * rng.normal(size=4050), lengths)
         assert found.differ
         drawn.append(found.ratio / found.ratio[0])
     mean = np.mean(drawn, axis=0)
-    assert mean[:4] == pytest.approx([1.0, 1.5, 0.7, 1.2], rel=0.03)
+    assert mean[:4] == approx([1.0, 1.5, 0.7, 1.2], rel=0.03)
     assert 1.6 < mean[4] < 2.0
 
 
 def test_runs_whose_noise_the_motion_took_say_nothing() -> None:
     """The second run's latents took 98 % of its samples: what little is left over is no quiet channel."""
-    noise = np.repeat([1.0, 0.01, 1.0, 1.0], 1000) * np.random.default_rng(7).normal(size=4000)
+    noise = np.repeat([1.0, 0.01, 1.0, 1.0], 1000) * default_rng(7).normal(size=4000)
     found = levels_of(noise, [1000] * 4, 980.0)
     assert not found.differ and found.ratio[1] > 0.9
 
 
-@pytest.mark.parametrize("imus", [1, 2])
+@mark.parametrize("imus", [1, 2])
 def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, imus: int) -> None:
     """Objective, score and corner of all runs, each with a noise scale, are sums of those of single runs."""
-    rng = np.random.default_rng(8)
+    rng = default_rng(8)
     mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
     runs = noisy(plant, rng, TIMES)
     if imus == 2:
@@ -142,14 +143,14 @@ def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, 
                       gyro=noise.gyro * by_gyro[k], accel=noise.accel * by_axis[k], stiction=stiction[where])
         parts.append(alone.linearise(x.of(where), beta, own, predicted_misfit=nothing))
     whole = problem.linearise(x, beta, replace(noise, scale=scale, stiction=stiction), predicted_misfit=nothing)
-    assert whole.objective == pytest.approx(sum(p.objective for p in parts), rel=1e-9)
-    assert whole.gradient_beta == pytest.approx(sum(p.gradient_beta for p in parts), rel=1e-9)
-    assert whole.corner == pytest.approx(sum(p.corner for p in parts), rel=1e-9)
+    assert whole.objective == approx(sum(p.objective for p in parts), rel=1e-9)
+    assert whole.gradient_beta == approx(sum(p.gradient_beta for p in parts), rel=1e-9)
+    assert whole.corner == approx(sum(p.corner for p in parts), rel=1e-9)
 
 
 def test_of_two_imus_the_one_that_is_noisier_in_a_run_gets_levels() -> None:
     """A leg without encoders; in one of four runs its shank's IMU, the second, is louder."""
-    rng = np.random.default_rng(9)
+    rng = default_rng(9)
     tree, sensors = random_tree(rng, (-1, 0), viscous=0.03, coulomb=0.04), [Sensor(0, 0.2), Sensor(1, 0.1)]
     mechanism = leg2(velocity_scale=FRICTION_RADPS).with_imus(tuple(ImuPlace(*s) for s in sensors), tuple(tree.length))
     runs = []
@@ -165,7 +166,7 @@ def test_of_two_imus_the_one_that_is_noisier_in_a_run_gets_levels() -> None:
     assert set(found.run_noise.levels) == {"gyro2_radps", "accel2_x_mps2", "accel2_y_mps2"}
     told = np.array([TIMES if k == NOISY else 1.0 for k in range(RUNS)])
     for name, level in zip(("gyro2_radps", "accel2_y_mps2"), (0.005, 0.05)):
-        assert found.run_noise.levels[name] == pytest.approx(level * told, rel=0.15)
+        assert found.run_noise.levels[name] == approx(level * told, rel=0.15)
     lines = [line for line in fit_text(document_of(found)).splitlines() if "differs" in line]
     assert any(line.startswith("noise of runs differs: gyro of IMU 2 ") for line in lines)
     truth = tree.beta(mechanism)
@@ -176,7 +177,7 @@ def test_levels_by_run_are_told(plant: Plant) -> None:
     found = fits(plant, TIMES, "imu", 1)[0]
     told = document_of(found).document["noise_by_run"]
     assert told["runs"] == ["run0", "run1", "run2", "run3"]
-    assert told["levels"]["gyro_radps"] == pytest.approx(found.run_noise.levels["gyro_radps"])
+    assert told["levels"]["gyro_radps"] == approx(found.run_noise.levels["gyro_radps"])
     line, = (line for line in fit_text(document_of(found)).splitlines() if "gyro" in line and "differs" in line)
     assert line.startswith("noise of runs differs: gyro 0.009")
     assert line.endswith("(run1); each run is weighted by its own level")

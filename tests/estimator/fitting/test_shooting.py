@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import MonkeyPatch, fixture, mark
 
 from daq import Dataset, FloatArray
 from estimator import MOST_DISAGREEMENT, FitOptions, FitResult
@@ -33,7 +34,7 @@ def shot_of(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) 
 
 def axis_run(inertia: float, viscous: float) -> Dataset:
     """A wheel with viscous friction under a torque held from sample to sample: its motion in closed form."""
-    rng, n, h = np.random.default_rng(5), 1500, 0.01
+    rng, n, h = default_rng(5), 1500, 0.01
     torque = np.repeat(rng.normal(size=n // 15), 15)
     q, v = np.zeros(n), np.zeros(n)
     decay, end = np.exp(-viscous / inertia * h), torque / viscous
@@ -57,10 +58,10 @@ def motion_of(segments: Segments, beta: FloatArray, q: FloatArray, v: FloatArray
     return np.concatenate(found, axis=1)
 
 
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_sensitivities_are_those_of_differences_and_residuals_move_by_them(sensors: str) -> None:
     leg = replace(Leg(), coulomb=(0.0, 0.0))
-    data = record(leg, np.random.default_rng(1), seconds=4.0)
+    data = record(leg, default_rng(1), seconds=4.0)
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(sensors=sensors)
     segments = Segments(split_signals([data], mechanism, options), mechanism, "linear", 1.0)
     q = np.stack([data["q1_rad"], data["q2_rad"]], axis=1)
@@ -86,7 +87,7 @@ def test_sensitivities_are_those_of_differences_and_residuals_move_by_them(senso
 
 def test_a_simulation_over_segments_is_that_of_each_alone() -> None:
     leg = Leg()
-    data = record(leg, np.random.default_rng(2), seconds=3.0)
+    data = record(leg, default_rng(2), seconds=3.0)
     mechanism = leg2(lever_arm=leg.lever)
     signals = split_signals([data], mechanism, FitOptions(sensors="encoder"))
     segments = Segments(signals, mechanism, "linear", 1.0)
@@ -98,9 +99,9 @@ def test_a_simulation_over_segments_is_that_of_each_alone() -> None:
         assert_allclose(x[a:b], np.concatenate([alone, rate], axis=1), atol=1e-5)
 
 
-@pytest.mark.parametrize("sensors", ["imu", "encoder"])
+@mark.parametrize("sensors", ["imu", "encoder"])
 def test_a_healthy_leg_is_found_with_either_sensor_and_both_estimators_agree(sensors: str) -> None:
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     leg = random_leg(rng)
     runs, mechanism = [record(leg, rng, seconds=10.0, name=str(k)) for k in range(2)], leg2(lever_arm=leg.lever)
     options = FitOptions(sensors=sensors, hold="auto", smoothing_velocity="auto")
@@ -110,10 +111,10 @@ def test_a_healthy_leg_is_found_with_either_sensor_and_both_estimators_agree(sen
     assert_allclose(opinion.beta[:5], leg.beta()[:5], rtol=0.02)
 
 
-@pytest.mark.parametrize("level", [3e-4, 5e-4, 1e-3, 2e-3])
+@mark.parametrize("level", [3e-4, 5e-4, 1e-3, 2e-3])
 def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(level: float) -> None:
     truth = GearedPendulum()
-    run = record_geared(truth, np.random.default_rng(0))
+    run = record_geared(truth, default_rng(0))
     options = replace(ENCODER, hold="auto", smoothing_velocity="auto", noise={"encoder_rad": level})
     mle = fit_admissible([run], joint1(), options)
     found = with_second_opinion([run], joint1(), options, mle)
@@ -131,17 +132,17 @@ def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(l
     assert_allclose(found.beta[2:], truth.beta()[2:], rtol=0.15)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def short() -> tuple[list[Dataset], Mechanism, FitOptions, FitResult]:
     """Nine seconds of a geared pendulum, of which shooting and mle say different things."""
-    run = record_geared(GearedPendulum(), np.random.default_rng(1), seconds=9.0)
+    run = record_geared(GearedPendulum(), default_rng(1), seconds=9.0)
     options = replace(ENCODER, noise={"encoder_rad": 3e-4})
     return [run], joint1(), options, fit_admissible([run], joint1(), options)
 
 
-@pytest.mark.parametrize("low, method", [(0.005, "mle"), (0.02, "shooting")])
+@mark.parametrize("low, method", [(0.005, "mle"), (0.02, "shooting")])
 def test_shooting_is_reported_only_where_it_predicts_better_by_a_margin(low: float, method: str, short: Any,
-                                                                        monkeypatch: pytest.MonkeyPatch) -> None:
+                                                                        monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(second_opinion, "_held_out", lambda *_: HeldOut(low + 0.005, (low, low + 0.01), 99))
     assert with_second_opinion(*short).method == method
 
@@ -154,7 +155,7 @@ def test_a_run_that_is_too_short_leaves_mle_as_it_is(short: Any) -> None:
 
 
 def test_what_is_given_stays_as_it_is_on_a_leg_that_nothing_drives() -> None:
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     leg = replace(Leg(), coulomb=(0.0, 0.0))
     run, mechanism = swing(leg, rng, (1.0, -0.6), seconds=15.0), leg2()
     options = FitOptions(sensors="encoder", encoders=(0, 1), fixed={"beta5": leg.beta()[4], "beta8": 0.0, "beta9": 0.0})

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
@@ -22,15 +22,15 @@ def held(result: FitResult, leg: Leg) -> int:
     return int(np.sum((low <= leg.beta()) & (leg.beta() <= high)))
 
 
-@pytest.mark.parametrize("count", [1, 3])
+@mark.parametrize("count", [1, 3])
 def test_parts_add_up_and_the_largest_is_the_torque_constant(count: int) -> None:
     leg, runs = recorded(11, count)
     result = fitted(leg, runs, DEFAULTS)
     budget = result.budget
-    assert np.sum([part.covariance for part in budget.parts], axis=0) == pytest.approx(result.covariance, rel=1e-6)
+    assert np.sum([part.covariance for part in budget.parts], axis=0) == approx(result.covariance, rel=1e-6)
     gain = budget.part("torque_gain")
     assert gain.tolerance == (0.05,)
-    assert gain.std == pytest.approx(0.05 * np.abs(result.beta - budget.moved), rel=1e-6)
+    assert gain.std == approx(0.05 * np.abs(result.beta - budget.moved), rel=1e-6)
     assert all((gain.std[:5] > part.std[:5]).all() for part in budget.parts if part is not gain)
 
 
@@ -38,8 +38,8 @@ def test_without_tolerances_a_fit_is_what_it_was() -> None:
     leg, runs = recorded(12, 2)
     plain, none = fitted(leg, runs, FitOptions()), fitted(leg, runs, FitOptions(tolerances={"none": ()}))
     assert plain.budget is None
-    assert none.beta == pytest.approx(plain.beta, rel=1e-9)
-    assert none.half_width == pytest.approx(plain.half_width, rel=1e-9)
+    assert none.beta == approx(plain.beta, rel=1e-9)
+    assert none.half_width == approx(plain.half_width, rel=1e-9)
 
 
 def test_a_wrong_torque_constant_within_its_tolerance_stays_within_the_intervals() -> None:

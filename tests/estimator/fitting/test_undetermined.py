@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
+from pytest import approx, mark
 from scipy.integrate import solve_ivp
 
 from daq import Dataset
@@ -30,7 +31,7 @@ NAMES = [f"beta{k}" for k in range(1, 10)]
 
 def leg_columns(q: np.ndarray, v: np.ndarray, a: np.ndarray, knee_torque: np.ndarray) -> dict[str, np.ndarray]:
     """A leg whose knee stays at zero, its pivot at q, seen by noisy sensors."""
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     return {"q1_rad": COUNT * np.round(q / COUNT + 0.3 * rng.normal(size=N)), "q2_rad": np.zeros(N),
             "tau2_nm": knee_torque + 0.02 * rng.normal(size=N), "gyro_radps": v + 0.005 * rng.normal(size=N),
             "accel_x_mps2": LEG.lever * a + G * np.sin(q) + 0.05 * rng.normal(size=N),
@@ -56,7 +57,7 @@ def knee_locked() -> dict[str, np.ndarray]:
 
 def pure_sine() -> dict[str, np.ndarray]:
     """A small sine: acceleration and gravity's torque are the same function of time but for (0.05 rad)^2 / 24."""
-    rng, w = np.random.default_rng(8), 5.0
+    rng, w = default_rng(8), 5.0
     q = 0.05 * np.sin(w * TIME)
     torque = -0.1 * w**2 * q + 0.4 * G * np.sin(q) + 0.05 * 0.05 * w * np.cos(w * TIME)
     return {"q1_rad": q + 1e-5 * rng.normal(size=N), "tau1_nm": torque + 0.01 * rng.normal(size=N)}
@@ -76,7 +77,7 @@ def rows_with_numbers(out: str) -> list[str]:
     return [row[0] for row in rows if row[0].isalnum() and row[1] != "not"]  # a sentence may begin with a name
 
 
-@pytest.mark.parametrize("method, sensors", WAYS)
+@mark.parametrize("method, sensors", WAYS)
 def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_path: Path,
                                              shell: Shell) -> None:
     status, document = run_fit(tmp_path, at_rest(), LEG_RIG, "--method", method, "--sensors", sensors)
@@ -89,7 +90,7 @@ def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_p
     assert document is None or all(p["value"] is None for p in document["parameters"])
 
 
-@pytest.mark.parametrize("method, sensors", WAYS)
+@mark.parametrize("method, sensors", WAYS)
 def test_a_knee_that_never_moves(method: Method, sensors: str, tmp_path: Path,
                                  shell: Shell) -> None:
     """Its friction is not seen; its inertia is not told from the upper link's; the passive row has no scale."""
@@ -103,8 +104,8 @@ def test_a_knee_that_never_moves(method: Method, sensors: str, tmp_path: Path,
                        .split(", ") if "beta2" in text and "beta3" in text and "beta1" in text)
     amounts = amounts_of(combination)  # changing so leaves beta2 + beta3 and beta1 + beta2 + 2 beta3 as they are
     scale = amounts["beta2"]
-    assert amounts["beta1"] / scale == pytest.approx(1.0, abs=0.1)
-    assert amounts["beta3"] / scale == pytest.approx(-1.0, abs=0.1)
+    assert amounts["beta1"] / scale == approx(1.0, abs=0.1)
+    assert amounts["beta3"] / scale == approx(-1.0, abs=0.1)
 
 
 def amounts_of(name: str) -> dict[str, float]:
@@ -113,7 +114,7 @@ def amounts_of(name: str) -> dict[str, float]:
     return {lead: 1.0, **{parameter: float(amount) for amount, _, parameter in parts}}
 
 
-@pytest.mark.parametrize("method", ["mle", "wls", "rls", "hekf"])
+@mark.parametrize("method", ["mle", "wls", "rls", "hekf"])
 def test_two_collinear_columns(method: Method, tmp_path: Path, shell: Shell) -> None:
     _, document = run_fit(tmp_path, pure_sine(), JOINT_RIG, "--method", method)
     printed = shell.read()
@@ -122,7 +123,7 @@ def test_two_collinear_columns(method: Method, tmp_path: Path, shell: Shell) -> 
     (combination,) = document["undetermined"]
     assert combination in printed.out
     amounts = amounts_of(combination)
-    assert amounts["beta2"] / amounts["beta1"] == pytest.approx(5.0**2 / G, rel=0.05)  # -w^2 q against g sin(q)
+    assert amounts["beta2"] / amounts["beta1"] == approx(5.0**2 / G, rel=0.05)  # -w^2 q against g sin(q)
     assert [p["value"] is None for p in document["parameters"]] == [True, True, False, False]
 
 
@@ -130,7 +131,7 @@ def test_a_given_parameter_frees_the_other(tmp_path: Path) -> None:
     status, document = run_fit(tmp_path, pure_sine(), JOINT_RIG, "--method", "wls", "--fix", "beta2=0.4")
     assert status == 0
     assert document is not None and document["undetermined"] == []
-    assert document["parameters"][0]["value"] == pytest.approx(0.1, rel=0.1)
+    assert document["parameters"][0]["value"] == approx(0.1, rel=0.1)
 
 
 def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, shell: Shell) -> None:
@@ -141,9 +142,9 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, shell
     assert "no model was written: this data does not determine" in shell.err
 
 
-@pytest.mark.parametrize("method, sensors", WAYS[2:])
+@mark.parametrize("method, sensors", WAYS[2:])
 def test_a_good_record_is_not_accused(method: Method, sensors: str) -> None:
-    run = record(LEG, np.random.default_rng(5), seconds=4.0)
+    run = record(LEG, default_rng(5), seconds=4.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()
 
 
@@ -176,12 +177,12 @@ def test_a_gravity_term_is_determined_with_inertias_that_are_not() -> None:
     assert low < BETA[3] < high < 2.0 * BETA[3] and low > 0.0
 
 
-@pytest.mark.parametrize("rows", [6, 256, 257, 700, 70_000])
+@mark.parametrize("rows", [6, 256, 257, 700, 70_000])
 def test_least_squares_piece_by_piece_is_that_of_the_whole(rows: int) -> None:
-    rng = np.random.default_rng(rows)
+    rng = default_rng(rows)
     z, beta = rng.normal(size=(rows, 1, 4)), np.array([1.0, -2.0, 0.5, 3.0])
     tau = z @ beta + rng.normal(0.0, 0.1, (rows, 1))
     found, _, sigma = weighted_least_squares(z, tau, np.ones(4, dtype=bool), np.zeros(4), 1.0)
     plain = np.linalg.lstsq(z[:, 0], tau[:, 0], rcond=None)[0]
-    assert found == pytest.approx(plain, rel=1e-10)
-    assert sigma[0] == pytest.approx(np.sqrt(np.mean((tau[:, 0] - z[:, 0] @ plain) ** 2)), rel=1e-10)
+    assert found == approx(plain, rel=1e-10)
+    assert sigma[0] == approx(np.sqrt(np.mean((tau[:, 0] - z[:, 0] @ plain) ** 2)), rel=1e-10)

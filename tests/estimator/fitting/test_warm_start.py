@@ -1,7 +1,7 @@
 """A long record's fit from an excerpt: the same answer in fewer steps, and no excerpt where none would do."""
 
 import numpy as np
-import pytest
+from pytest import MonkeyPatch
 
 from daq import Dataset
 from estimator import FitOptions, fit
@@ -49,11 +49,11 @@ def test_short_records_and_short_segments_have_none() -> None:
     assert [number for number, _ in excerpt(*prepared(both))] == [0]
 
 
-def without_excerpt(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_excerpt(monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(motion_search, "from_excerpt", lambda *_: None)
 
 
-def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: MonkeyPatch) -> None:
     rng = np.random.default_rng(911)
     leg = random_leg(rng)
     runs = [record(leg, rng, seconds=15, name=f"run{i}") for i in range(2)]
@@ -67,7 +67,7 @@ def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_allclose(found.std, whole.std, rtol=0.01)
 
 
-def test_an_excerpt_that_does_not_converge_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_excerpt_that_does_not_converge_is_left_alone(monkeypatch: MonkeyPatch) -> None:
     run = record(LEG, np.random.default_rng(5), seconds=15)
     monkeypatch.setattr(warm_start, "STEPS", 1)
     found = fit([run], MECHANISM, OPTIONS)

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
 from numpy.testing import assert_allclose
+from pytest import MonkeyPatch, approx, mark
 
 from estimator import Effect
 from estimator.effects import library
 from estimator.likelihood import Candidate, LatentProblem, Latents, Linearised, Noise, Stage, latent_problem
-from estimator.model import ImuPlace, Mechanism, biped3, joint1, leg2
-from estimator.model.chain import chain
+from estimator.model import ImuPlace, Mechanism, biped3, chain, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
 from estimator.signals import SignalSet, imu_columns
 from tests.support import assembly_numpy
@@ -21,7 +21,7 @@ BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
 LIBRARY = library(leg2(lever_arm=0.2), True)[0]
 
 
-def segments(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[SignalSet]:
+def segments(mechanism: Mechanism, imu: bool, rng: Generator) -> list[SignalSet]:
     """Two, so that one sample begins no interval."""
     return [SignalSet(f"run{i}", 100.0, np.arange(count) / 100.0, rng.normal(size=(count, mechanism.n)),
                       rng.normal(size=(count, mechanism.n)),
@@ -30,7 +30,7 @@ def segments(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[
             for i, count in enumerate(COUNTS)]
 
 
-def latents(mechanism: Mechanism, rng: np.random.Generator) -> Latents:
+def latents(mechanism: Mechanism, rng: Generator) -> Latents:
     return Latents(*(scale * rng.normal(size=(sum(COUNTS), mechanism.n)) for scale in (0.5, 1.0, 0.4)))
 
 
@@ -41,7 +41,7 @@ def noise_of(mechanism: Mechanism) -> Noise:
                  time_constant=np.linspace(0.05, 0.5, mechanism.n))
 
 
-def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch,
+def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: MonkeyPatch,
          correlation: float = 0.0) -> list[Linearised]:
     noise = replace(noise_of(problem.mechanism), accel_correlation=correlation)
     fast = problem.linearise(x, beta, noise)
@@ -54,14 +54,14 @@ def assert_motion_alone(problem: LatentProblem, x: Latents, beta: np.ndarray) ->
     """A search of the motion alone has the same chain and objective, with the first right side only."""
     noise = noise_of(problem.mechanism)
     whole, alone = problem.linearise(x, beta, noise), problem.motion_equations(x, beta, noise)
-    assert alone.chain.width == 1 and alone.objective == pytest.approx(whole.objective, rel=1e-12)
+    assert alone.chain.width == 1 and alone.objective == approx(whole.objective, rel=1e-12)
     known = whole.chain.first(1).rows
     assert_allclose(alone.chain.rows, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
     assert np.array_equal(alone.accel, whole.accel[..., : problem.block + 1])
 
 
 def assert_alike(plain: Linearised, fast: Linearised) -> None:
-    assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
+    assert fast.objective == approx(plain.objective, rel=1e-10)
     for name, known in normal(plain).items():
         atol = 1e-10 * np.abs(known).max(initial=0.0)
         assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
@@ -70,15 +70,15 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
                         err_msg=name)
 
 
-@pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
-@pytest.mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2, rotor_inertia=(1,),
+@mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
+@mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2, rotor_inertia=(1,),
                                                                    torque_offset=(0, 1)), biped3(), chain(3),
                                        leg2().with_imus((ImuPlace(1, 0.2), ImuPlace(0, 0.1)), (0.3,)),
                                        biped3().with_imus((ImuPlace(2, 0.1),), (0.7,)),
                                        chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.2)), (0.3, 0.4))],
                          ids=lambda m: f"{m.name}-{m.n}-{''.join(str(i.link) for i in m.imus)}")
-def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(11)
+def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: MonkeyPatch) -> None:
+    rng = default_rng(11)
     problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear")
     beta = np.abs(rng.normal(size=mechanism.p)) + np.array([2.0 * (p.term == "inertia" and p.at[0] == p.at[1])
                                                             for p in mechanism.parameters])
@@ -87,34 +87,34 @@ def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.Mo
     assert_motion_alone(problem, x, beta)
 
 
-@pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
-def test_a_disturbed_leg(imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(12)
+@mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
+def test_a_disturbed_leg(imu: bool, monkeypatch: MonkeyPatch) -> None:
+    rng = default_rng(12)
     mechanism = leg2(lever_arm=0.2)
     problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear").with_disturbance()
     x = latents(mechanism, rng)
     assert_alike(*both(problem, replace(x, e=0.3 * x.u[::-1]), BETA, monkeypatch))
 
 
-def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> LatentProblem:
+def staged(effects: list[Effect], candidates: list[Candidate], rng: Generator) -> LatentProblem:
     stage = Stage((0, 1), (0.0, 5.0), (0.0, 0.0), np.tile([-1.0, 1.0], (2, 1)), 7.0)
     mechanism = leg2(lever_arm=0.2)
     return LatentProblem(segments(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
 
 
-@pytest.mark.parametrize("effects", [[e] for e in LIBRARY], ids=lambda e: f"{e[0].name}-{e[0].joint}")
-def test_every_effect(effects: list[Effect], monkeypatch: pytest.MonkeyPatch) -> None:
+@mark.parametrize("effects", [[e] for e in LIBRARY], ids=lambda e: f"{e[0].name}-{e[0].joint}")
+def test_every_effect(effects: list[Effect], monkeypatch: MonkeyPatch) -> None:
     assert_motion_alone(*assert_fast(effects, monkeypatch))
 
 
-@pytest.mark.parametrize("correlation", [-0.9, 0.8])
-def test_axes_that_correlate(correlation: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@mark.parametrize("correlation", [-0.9, 0.8])
+def test_axes_that_correlate(correlation: float, monkeypatch: MonkeyPatch) -> None:
     assert_fast(LIBRARY[:6], monkeypatch, correlation)
 
 
-def assert_fast(effects: list[Effect], monkeypatch: pytest.MonkeyPatch, correlation: float = 0.0
+def assert_fast(effects: list[Effect], monkeypatch: MonkeyPatch, correlation: float = 0.0
                 ) -> tuple[LatentProblem, Latents, np.ndarray]:
-    rng = np.random.default_rng(12)
+    rng = default_rng(12)
     problem = staged(effects, [], rng)
     beta = np.concatenate([BETA, *([s.scale for s in e.sizes] + [s.grid[-1] for s in e.shapes] for e in effects)])
     x = latents(problem.mechanism, rng)
@@ -122,8 +122,8 @@ def assert_fast(effects: list[Effect], monkeypatch: pytest.MonkeyPatch, correlat
     return problem, x, beta
 
 
-def test_more_columns_than_have_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(13)
+def test_more_columns_than_have_a_kernel(monkeypatch: MonkeyPatch) -> None:
+    rng = default_rng(13)
     candidates = [Candidate(e, shape) for e in LIBRARY for shape in e.grid()]
     problem = staged([], candidates, rng)
     plain, fast = both(problem, latents(problem.mechanism, rng), BETA, monkeypatch)
@@ -133,7 +133,7 @@ def test_more_columns_than_have_a_kernel(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_cosine_and_sine_of_far_angles() -> None:
     """To the last digits of numpy's own, after many turns and close to a quarter of one."""
-    angle = np.concatenate([np.random.default_rng(14).uniform(-1e5, 1e5, 5000), np.linspace(-7.0, 7.0, 5000),
+    angle = np.concatenate([default_rng(14).uniform(-1e5, 1e5, 5000), np.linspace(-7.0, 7.0, 5000),
                             np.arange(-40, 41) * np.pi / 4, [0.0, -0.0]])
     cosine, sine = FastTerms(joint1()).transposed(angle[None, None])
     assert_allclose(cosine[0, 0], np.cos(angle), rtol=0.0, atol=2.5e-16)

@@ -1,7 +1,8 @@
 """Channels of a chain of more than nine joints, and one subtraction of what effects add to the torque's reading."""
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, mark
 
 from estimator import Effect
 from estimator.effects import classes
@@ -13,7 +14,7 @@ LINKS, COUNT = 11, 40
 NAMED = {kind.name: kind for kind in classes()}
 
 
-def problem_of(effect: Effect, rng: np.random.Generator) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
+def problem_of(effect: Effect, rng: Generator) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
     m = chain(LINKS)
     signals = SignalSet("run", 100.0, np.arange(COUNT) / 100.0, 0.1 * rng.normal(size=(COUNT, LINKS)),
                         0.1 * rng.normal(size=(COUNT, LINKS)), {})
@@ -25,10 +26,10 @@ def problem_of(effect: Effect, rng: np.random.Generator) -> tuple[LatentProblem,
     return problem, x, beta, Noise(np.full(LINKS, 0.05), np.full(LINKS, 1e-3))
 
 
-@pytest.mark.parametrize("name, joint", [("torque_offset", None), ("encoder_offset", 10), ("joint_elasticity", 9)])
+@mark.parametrize("name, joint", [("torque_offset", None), ("encoder_offset", 10), ("joint_elasticity", 9)])
 def test_a_chain_of_eleven_joints_keeps_its_channels_apart(name: str, joint: int | None) -> None:
     """What a step foresees of every residual is what the moved point has; joint 11 is not joint 1."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     problem, x, beta, noise = problem_of(NAMED[name](joint), rng)
     point = problem.linearise(x, beta, noise)
     step = 1e-6 * rng.normal(size=(COUNT, problem.block))
@@ -41,13 +42,13 @@ def test_a_chain_of_eleven_joints_keeps_its_channels_apart(name: str, joint: int
     for kind in ("torque", "encoder"):
         change = there[kind] - point.residuals[kind]
         assert np.abs(change).max(axis=0).min() > 1e-7
-        assert predicted[kind] - point.residuals[kind] == pytest.approx(change, rel=1e-3, abs=1e-9)
+        assert predicted[kind] - point.residuals[kind] == approx(change, rel=1e-3, abs=1e-9)
     taken = effective_samples(problem, point, np.broadcast_to(np.eye(problem.block), (COUNT, 33, 33)), noise)
-    assert taken["torque"][0] == pytest.approx(np.full(LINKS, COUNT / 0.05**2))
+    assert taken["torque"][0] == approx(np.full(LINKS, COUNT / 0.05**2))
 
 
 def test_what_effects_add_to_torques_is_taken_off_once_for_every_joint() -> None:
-    problem, x, beta, _ = problem_of(NAMED["torque_offset"](None), np.random.default_rng(5))
+    problem, x, beta, _ = problem_of(NAMED["torque_offset"](None), default_rng(5))
     found = problem.torque_readings(x, beta)
-    assert found == pytest.approx(np.tile([0.0] + [0.02] * (LINKS - 1), (COUNT, 1)))
+    assert found == approx(np.tile([0.0] + [0.02] * (LINKS - 1), (COUNT, 1)))
     assert str(torque_of(10)) == "torque11" and Channel("torque", 10) in problem.extra(x, beta).readings

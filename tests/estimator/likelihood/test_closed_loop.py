@@ -4,7 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
+from pytest import approx, mark
 
 from daq import Dataset
 from estimator import Effect, FitOptions
@@ -33,7 +34,7 @@ def recorded(loop: str, seed: int = 3) -> Dataset:
     stated = dict(line.split(" = ") for line in LOOPS[loop].splitlines())
     said = {name: float(value) for name, value in stated.items()}
     return with_torque(follow(
-        LEG, np.random.default_rng(seed), gain=said["gain"], damping=said["damping"], limit=said.get("limit", np.inf),
+        LEG, default_rng(seed), gain=said["gain"], damping=said["damping"], limit=said.get("limit", np.inf),
         loop_hz=said.get("rate_hz", 1000.0), seconds=6.0, amplitude=0.8,
         faults=ServoFaults(**{name: said.get(name, 0.0) for name in (
             "delay_s", "integral", "velocity_filter_s", "command_filter_s")})), LOOPS[loop])
@@ -45,7 +46,7 @@ def ran(one: SmoothedRun, horizon_s: float = np.inf) -> FreeRun:
     return found
 
 
-@pytest.mark.parametrize("loop", LOOPS)
+@mark.parametrize("loop", LOOPS)
 def test_a_free_run_follows_the_command_as_the_leg_did(loop: str) -> None:
     data = recorded(loop)
     one = smooth(MODEL, data, FitOptions(sensors="encoder"))
@@ -56,11 +57,11 @@ def test_a_free_run_follows_the_command_as_the_leg_did(loop: str) -> None:
         assert (error < 3.0 * QUANTUM).all(), error / QUANTUM
 
 
-@pytest.mark.parametrize("faults, heard", [
+@mark.parametrize("faults, heard", [
     (ServoFaults(encoder_scale=0.05), 1.0), (ServoFaults(log_scale=0.05), 0.0)])
 def test_a_scale_is_wrong_for_the_loop_as_well_or_in_the_log_alone(faults: ServoFaults, heard: float) -> None:
     """The right one of both has no residual, and free runs that follow the command as the leg did."""
-    data = with_torque(follow(LEG, np.random.default_rng(61), gain=8.0, damping=0.1, limit=0.6, seconds=6.0,
+    data = with_torque(follow(LEG, default_rng(61), gain=8.0, damping=0.1, limit=0.6, seconds=6.0,
                               amplitude=0.8, faults=faults), "gain = 8.0\ndamping = 0.1\nlimit = 0.6\n")
     errors, misfits = {}, {}
     for place in (1.0, 0.0):
@@ -105,7 +106,7 @@ def test_noise_leaves_in_replicates_what_it_leaves_in_records() -> None:
     """The floor of a leg whose model is right is about the error of its free runs."""
     one = smooth(MODEL, recorded("stiff"), FitOptions(sensors="encoder"))
     error = np.sqrt(np.mean((ran(one).q - one.problem.angles) ** 2, axis=0))
-    floor = floor_errors(one, np.random.default_rng(5), [np.inf], lambda signals: MODEL.problem(signals),
+    floor = floor_errors(one, default_rng(5), [np.inf], lambda signals: MODEL.problem(signals),
                          white_noise(one.state.noise))
     left = np.sqrt(np.mean(floor[0, :2] ** 2, axis=1))
     assert (error < 2.0 * left).all() and (error > 0.5 * left).all(), (error, left)
@@ -119,11 +120,11 @@ def test_commands_are_smooth_and_monotone_between_samples_and_stay_within_their_
     error = np.abs(told.at(place, np.zeros((1, 1)))[0][0] - np.sin(0.1 * place))
     assert error.max() < 1e-3 and error.mean() < 2e-4  # of straight lines 1.2e-3 and 8e-4
     late, rate = told.at(place, np.full((1, 1), 0.05))
-    assert late[0] == pytest.approx(np.sin(0.1 * place - 0.05)) and rate == pytest.approx(2.0 * late)
+    assert late[0] == approx(np.sin(0.1 * place - 0.05)) and rate == approx(2.0 * late)
     stepped = told.at(40.0 + place, np.full((1, 1), 0.02))[0][0]
     assert stepped.min() == 0.0 and stepped.max() == 1.0 and (np.diff(stepped) >= 0.0).all()
     begin = np.array([40.0, 41.0])
-    assert told.at(begin, np.full((1, 1), 0.3))[0][0] == pytest.approx([0.0, 0.0])
+    assert told.at(begin, np.full((1, 1), 0.3))[0][0] == approx([0.0, 0.0])
 
 
 def test_a_loop_without_gain_is_no_explanation() -> None:
@@ -152,5 +153,5 @@ def test_slopes_of_effects_of_a_loop_are_differences_of_their_laws() -> None:
             moved[1][1] -= h
             sides: list[dict[str, Any]] = [{field: x} for x in moved]
             up, down = (effect.law(replace(place, **side), np.array(size), view) for side in sides)
-            assert found[field] == pytest.approx((up - down) / (2.0 * h), abs=1e-6), (effect.key, field)
+            assert found[field] == approx((up - down) / (2.0 * h), abs=1e-6), (effect.key, field)
             assert np.abs(found[field]).max() > 0.0 or field == "a" or effect.name == "command_steps"

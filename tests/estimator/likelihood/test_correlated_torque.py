@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, mark
 
 from estimator import Effect
 from estimator.effects import classes
@@ -42,19 +43,19 @@ def test_the_objective_has_the_inverse_of_the_whole_covariance() -> None:
         expected += r @ np.linalg.solve(sigma, r) - r @ np.linalg.solve(alone, r)
     independent = replace(noise, torque_correlation=None)
     found, before = (problem.linearise(x, beta, n).objective for n in (noise, independent))
-    assert found - before == pytest.approx(expected, rel=1e-4)  # of a sum of 1e10, the motion being random
+    assert found - before == approx(expected, rel=1e-4)  # of a sum of 1e10, the motion being random
 
 
 def test_no_correlation_declared_as_such_changes_nothing() -> None:
     problem, x, beta, noise = posed(NAMED["torque_offset"](None), NAMED["joint_elasticity"](1))
     one, other = (problem.linearise(x, beta, replace(noise, torque_correlation=c)) for c in (np.eye(2), None))
-    assert one.objective == pytest.approx(other.objective, rel=1e-12)
+    assert one.objective == approx(other.objective, rel=1e-12)
     for name in ("corner", "gradient_beta"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(one.chain.rows, other.chain.rows, rtol=1e-9, atol=1e-6)
+        assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
+    assert_allclose(one.chain.rows, other.chain.rows, rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.parametrize("name, joint, h", [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
+@mark.parametrize("name, joint, h", [("torque_offset", None, 0.1), ("torque_saturation", None, 1e-3)])
 def test_derivatives_by_torque_and_sizes_are_those_of_the_objective(name: str, joint: int | None, h: float) -> None:
     problem, x, beta, noise = posed(NAMED[name](joint))
     point, n = problem.linearise(x, beta, noise), 2
@@ -67,14 +68,14 @@ def test_derivatives_by_torque_and_sizes_are_those_of_the_objective(name: str, j
         up[k, j] += h
         down[k, j] -= h
         slope = (objective(up, beta) - objective(down, beta)) / (4.0 * h)
-        assert point.chain.right[k, 2 * n + j, 0] == pytest.approx(slope, rel=1e-3)
+        assert point.chain.right[k, 2 * n + j, 0] == approx(slope, rel=1e-3)
     step = np.zeros_like(beta)
     step[-1] = h
     slope = (objective(x.u, beta + step) - objective(x.u, beta - step)) / (4.0 * h)
-    assert point.gradient_beta[-1] == pytest.approx(slope, rel=1e-3)
+    assert point.gradient_beta[-1] == approx(slope, rel=1e-3)
 
 
 def test_samples_count_where_no_driven_joint_rests() -> None:
     share = np.array([[0.99, 1.0, 0.3], [0.5, 1.0, 0.3], [1.0, 1.0, 0.3]])
-    assert whole_samples(share, (0, 1)) == pytest.approx(np.array([[1, 1, 0.3], [0, 0, 0.3], [1, 1, 0.3]]))
-    assert whole_samples(0.5 * share, (0, 1)) == pytest.approx(0.5 * share)
+    assert whole_samples(share, (0, 1)) == approx(np.array([[1, 1, 0.3], [0, 0, 0.3], [1, 1, 0.3]]))
+    assert whole_samples(0.5 * share, (0, 1)) == approx(0.5 * share)

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from pytest import approx, mark
 
 from estimator.likelihood import LatentProblem, Latents, Noise, Process
 from estimator.model import Mechanism, joint1, leg2
@@ -25,7 +26,7 @@ def covariance(level: float, constant: float, ends: np.ndarray) -> np.ndarray:
 
 
 def test_rows_are_the_inverse_covariance() -> None:
-    e = np.random.default_rng(1).normal(size=(115, 2))
+    e = default_rng(1).normal(size=(115, 2))
     process = Process.of(NOISE, DT)
     chain = BlockTridiagonal.zeros(115, 2, 1)
     process.add(chain, e, ENDS)
@@ -35,21 +36,21 @@ def test_rows_are_the_inverse_covariance() -> None:
         assert_allclose(chain.diagonal[:, j, j], np.diag(precision), rtol=1e-8)
         assert_allclose(chain.lower[:, j, j], np.diag(precision, -1), rtol=1e-8, atol=1e-6)
         assert_allclose(chain.right[:, j, 0], precision @ e[:, j], rtol=1e-6)
-        assert process.squares(e, ENDS)[j] == pytest.approx(e[:, j] @ precision @ e[:, j], rel=1e-9)
+        assert process.squares(e, ENDS)[j] == approx(e[:, j] @ precision @ e[:, j], rel=1e-9)
     both = sum(np.linalg.slogdet(covariance(level, NOISE.time_constant[j], ENDS))[1]
                for j, level in enumerate((0.03, 0.05e-3)))
-    assert process.log_determinant(ENDS) == pytest.approx(both, rel=1e-9)
+    assert process.log_determinant(ENDS) == approx(both, rel=1e-9)
 
 
 def test_share_is_the_trace_of_the_smoother() -> None:
     level, constant, white = 0.03, 0.08, 0.02
     c = covariance(level, constant, np.array([1500]))
     known = np.trace(c @ np.linalg.inv(c + white**2 * np.eye(1500))) / 1500
-    assert Process.of(NOISE, DT).share(np.array([white**2, 1.0]))[0] == pytest.approx(known, rel=5e-3)
+    assert Process.of(NOISE, DT).share(np.array([white**2, 1.0]))[0] == approx(known, rel=5e-3)
 
 
 def test_innovations_are_white() -> None:
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     count, white = 20_000, 0.02
     d, a = np.empty(count), np.exp(-DT / 0.08)
     d[0] = 0.03 * rng.normal()
@@ -63,11 +64,11 @@ def test_innovations_are_white() -> None:
     assert np.var(found) < 0.75 * np.var(error)
 
 
-@pytest.mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2)], ids=["joint1", "leg2"])
-@pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
+@mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2)], ids=["joint1", "leg2"])
+@mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
 def test_a_disturbance_that_is_off_changes_nothing(mechanism: Mechanism, imu: bool) -> None:
     """The same least squares and information as without its latents, up to the level that stands for none."""
-    rng, n = np.random.default_rng(11), mechanism.n
+    rng, n = default_rng(11), mechanism.n
     signals = [SignalSet(f"run{i}", 10.0, np.arange(count) / 10.0, rng.normal(size=(count, n)),
                          rng.normal(size=(count, n)), {c: rng.normal(size=count) for c in imu_columns(0) if imu})
                for i, count in enumerate((70, 45))]

@@ -4,8 +4,9 @@ import sys
 from typing import Any
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.typing import NDArray
+from pytest import MonkeyPatch, approx, mark
 from scipy.integrate import solve_ivp
 
 from estimator import Effect, FitOptions
@@ -16,9 +17,18 @@ from estimator.effects.base_compliance import BaseCompliance
 from estimator.effects.presliding_friction import PreslidingFriction
 from estimator.effects.rotor_inertia import RotorInertia
 from estimator.effects.torque_saturation import TorqueSaturation
-from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction, pieces
-from estimator.likelihood.effective_samples import effective_samples
-from estimator.likelihood.free_run import _Plant, free_run
+from estimator.likelihood import (
+    LatentProblem,
+    Latents,
+    Noise,
+    Stage,
+    State,
+    effective_samples,
+    find_stiction,
+    free_run,
+    pieces,
+)
+from estimator.likelihood.free_run import _Plant
 from estimator.model import Mechanism, joint1, leg2
 from estimator.signals import SignalSet, torque_of
 from tests.support.mujoco_leg import Leg, record
@@ -57,12 +67,12 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
     runs = [free_run(problem_of(joint1(), torque, list(effects)), at_rest(np.array(beta), torque), torque)
             for beta, effects in (([0.02, 0.1, 0.03, 0.05, 0.06], [RotorInertia(0)]), ([0.08, 0.1, 0.03, 0.05], []))]
     assert np.ptp(runs[0].q) > 1.0
-    assert runs[0].q == pytest.approx(runs[1].q, abs=1e-7)
+    assert runs[0].q == approx(runs[1].q, abs=1e-7)
 
 
-@pytest.mark.parametrize("displacement", [0.002, 0.03])
+@mark.parametrize("displacement", [0.002, 0.03])
 def test_a_state_solved_with_the_motion_is_that_found_by_iteration(displacement: float,
-                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+                                                                   monkeypatch: MonkeyPatch) -> None:
     """... and costs one simulation, where stiff bristles over two seconds cost hundreds."""
     torque = 0.4 * np.sin(0.08 * np.arange(200))[:, None]
     problem = problem_of(joint1(), torque, [PreslidingFriction(0)])
@@ -75,16 +85,16 @@ def test_a_state_solved_with_the_motion_is_that_found_by_iteration(displacement:
     monkeypatch.setattr(module, "_remembers", lambda effect: True)
     again = free_run(problem, state, torque)
     assert len(calls) > 5
-    assert found.q == pytest.approx(again.q, abs=2e-5)
+    assert found.q == approx(again.q, abs=2e-5)
 
 
-@pytest.mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2, 2.0]),
+@mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2, 2.0]),
                                             ([PreslidingFriction(1)], [0.05, 0.01, 0.01])])
 def test_pieces_simulated_together_are_those_simulated_one_by_one(
-        effects: list[Effect], sizes: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+        effects: list[Effect], sizes: list[float], monkeypatch: MonkeyPatch) -> None:
     """Each piece begins at the state that it is given, whatever the one before it ended with; torque over ends of
     pieces is linear, so nothing else joins them."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     beta, torque = np.append(BETA, sizes), knee_sine(200, 0.8, 0.1)
     problem = problem_of(LEG, np.zeros((200, 2)), effects)
     whole = free_run(problem, at_rest(beta, torque), torque)
@@ -100,11 +110,11 @@ def test_pieces_simulated_together_are_those_simulated_one_by_one(
     for where in pieces(problem, 0.1):
         start = given.q[where.start], given.v[where.start]
         q, v = plant.run(where, given.q, given.v, start, nothing)
-        assert together.q[where] == pytest.approx(q, abs=1e-7) and together.v[where] == pytest.approx(v, abs=1e-6)
+        assert together.q[where] == approx(q, abs=1e-7) and together.v[where] == approx(v, abs=1e-6)
         assert np.array_equal(together.q[where.start], given.q[where.start])
 
 
-def test_a_piece_that_diverges_stays_still_and_leaves_the_others_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_piece_that_diverges_stays_still_and_leaves_the_others_alone(monkeypatch: MonkeyPatch) -> None:
     """A servo's friction of a negative level ran off in one piece of a tenth of a second, and all pieces of the run
     were taken for lost: 12.6 times the noise alone instead of 1.1."""
     module = sys.modules[free_run.__module__]
@@ -126,7 +136,7 @@ def test_a_piece_that_diverges_stays_still_and_leaves_the_others_alone(monkeypat
     lost = slice(100, 110)
     assert np.all(found.q[lost, 1] == 0.5) and np.all(found.v[lost] == 0.0)
     kept, known = (np.delete(run.q, lost, axis=0) for run in (found, whole))
-    assert kept == pytest.approx(known, abs=1e-6)
+    assert kept == approx(known, abs=1e-6)
 
 
 def swing(leg: Leg, stand: tuple[float, float, float], time: FloatArray, torque: FloatArray) -> FloatArray:
@@ -165,7 +175,7 @@ def test_a_free_run_on_a_stand_near_its_resonance_converges() -> None:
     beta = np.concatenate([leg.beta()[:7], [0.0, 0.0], stand])
     found = free_run(problem_of(LEG, tau, [BaseCompliance()]), at(Latents(q, v, tau), beta), tau)
     assert np.abs(q).max() > 0.8
-    assert found.q == pytest.approx(q, abs=2e-5)
+    assert found.q == approx(q, abs=2e-5)
 
 
 def test_a_stand_that_does_not_yield_is_none() -> None:
@@ -173,7 +183,7 @@ def test_a_stand_that_does_not_yield_is_none() -> None:
     plain = free_run(problem_of(LEG, tau, []), at_rest(beta, tau), tau)
     found = free_run(problem_of(LEG, tau, [BaseCompliance()]), at_rest(np.append(beta, [0.0, 3.0, 0.1]), tau), tau)
     assert np.abs(plain.q).max() > 0.05
-    assert found.q == pytest.approx(plain.q, abs=1e-9)
+    assert found.q == approx(plain.q, abs=1e-9)
 
 
 def test_readings_beyond_all_numbers_are_no_free_run() -> None:
@@ -184,11 +194,11 @@ def test_readings_beyond_all_numbers_are_no_free_run() -> None:
         assert (free_run(problem, at_rest(np.append(Leg().beta(), offset), tau), tau) is not None) == runs
 
 
-@pytest.mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)
+@mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)
 def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
     """At random latents, half the derivative of the objective by a torque is the gradient, and the torque channel's
     degrees of freedom are those of its whole derivative."""
-    rng, count = np.random.default_rng(8), 60
+    rng, count = default_rng(8), 60
     size = np.array([0.9] if effect.joint is None else [0.1, 0.02, 0.03, 1e-4, 0.2])
     problem = problem_of(LEG, rng.normal(size=(count, 2)), [effect])
     beta = np.append(BETA, size)
@@ -200,17 +210,17 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
         step = np.zeros((count, problem.block))
         step[k, 5] = 1e-4
         up, down = (problem.linearise(x.moved(a * step), beta, noise).objective for a in (1.0, -1.0))
-        assert gradient[k, 5] == pytest.approx((up - down) / 4e-4, rel=1e-3)
+        assert gradient[k, 5] == approx((up - down) / 4e-4, rel=1e-3)
     step = 1e-5 * rng.normal(size=(count, problem.block))
     after = problem.residuals_after(point, step, np.zeros(0), np.zeros(0, dtype=np.intp))
     moved = problem.linearise(x.moved(step), beta, noise).residuals
     for channel in ("torque", "encoder"):
         change = moved[channel] - point.residuals[channel]
-        assert after[channel] - point.residuals[channel] == pytest.approx(change, rel=1e-2, abs=1e-8)
+        assert after[channel] - point.residuals[channel] == approx(change, rel=1e-2, abs=1e-8)
     variance = np.einsum("k,ij->kij", rng.uniform(1.0, 2.0, count), np.eye(problem.block))
     by_u = 1.0 + point.extra.by_torque.get(torque_of(1), 0.0)
     taken = effective_samples(problem, point, variance, noise)["torque"][0, 1]
-    assert taken == pytest.approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
+    assert taken == approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
 
 
 def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
@@ -221,13 +231,13 @@ def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
     problem = problem_of(LEG, np.zeros((41, 2)), [])
     x = Latents(np.zeros((41, 2)), np.zeros((41, 2)), np.column_stack([np.zeros(41), torque]))
     added = TorqueSaturation().readings(problem.view(x, BETA), np.array([c]))[torque_of(1)]
-    assert (torque + added)[:-1] == pytest.approx(current[:-1])
+    assert (torque + added)[:-1] == approx(current[:-1])
     assert np.isfinite(added[-1]) and added[-1] > 10.0
 
 
 def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     leg = Leg()
-    runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
+    runs = [record(leg, default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
     session = split_runs(runs, LEG, FitOptions(sensors="imu"))
     nominal = nominal_model(session)
     effect = StribeckFriction(1)
@@ -244,7 +254,7 @@ def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
 def test_an_effects_friction_near_rest_counts_with_the_coulomb_level() -> None:
     rest = np.zeros((41, 2))
     problem, beta = problem_of(LEG, rest, [StribeckFriction(1)]), np.append(BETA, [0.1, 0.2, 2.0])
-    assert problem.dry_levels(beta) == pytest.approx({0: 0.03, 1: 0.16})
+    assert problem.dry_levels(beta) == approx({0: 0.03, 1: 0.16})
     more = find_stiction(problem, rest, beta, one_per_crossing=False)[:, 0]
     less = find_stiction(problem_of(LEG, rest, []), rest, BETA, one_per_crossing=False)[:, 0]
-    assert more[:, 0] == pytest.approx(less[:, 0]) and more[:, 1] == pytest.approx((0.16 / 0.06) ** 2 * less[:, 1])
+    assert more[:, 0] == approx(less[:, 0]) and more[:, 1] == approx((0.16 / 0.06) ** 2 * less[:, 1])

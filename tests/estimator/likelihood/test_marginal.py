@@ -4,12 +4,11 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from daq import FloatArray
 from estimator import FitOptions
-from estimator.fitting import converge_motion
-from estimator.fitting.disturbance import Disturbance, disturbance_likelihood
+from estimator.fitting import Disturbance, converge_motion, disturbance_likelihood
 from estimator.likelihood import LatentProblem, Latents, Noise, State, log_marginal
 from estimator.model import joint1, leg2
 from estimator.signals import SignalSet, split_signals
@@ -79,7 +78,7 @@ def test_of_a_linear_joint_it_is_that_of_a_dense_covariance() -> None:
               ((0.1, 0.02, 0.01, 1e-3), (0.13, 0.02, 0.01, 1e-3), (0.1, 0.1, 0.02, 1e-3), (0.07, 0.0, 0.01, 3e-3))]
     told, wanted = (np.array([f(problem, one) for one in others]) for f in (log_marginal, exact))
     assert np.ptp(wanted) > 10.0
-    assert told - told[0] == pytest.approx(wanted - wanted[0], abs=0.01)
+    assert told - told[0] == approx(wanted - wanted[0], abs=0.01)
 
 
 def test_of_a_pendulum_it_is_the_integral_over_its_motion() -> None:
@@ -101,7 +100,7 @@ def test_of_a_pendulum_it_is_the_integral_over_its_motion() -> None:
             ratio += np.prod(weights[list(which)]) * np.exp(-0.5 * fall + 0.5 * z @ z)
         return float(np.log(ratio / (2.0 * np.pi) ** (0.5 * width)))
 
-    assert [integral(one) for one in states] == pytest.approx([0.0] * 3, abs=1e-3)
+    assert [integral(one) for one in states] == approx([0.0] * 3, abs=1e-3)
 
 
 def leg(unit: float = 1.0) -> tuple[LatentProblem, State]:
@@ -119,7 +118,7 @@ def leg(unit: float = 1.0) -> tuple[LatentProblem, State]:
     return problem, converge_motion(problem, state, 40)
 
 
-@pytest.mark.parametrize("free_nm", [0.0, 0.05])
+@mark.parametrize("free_nm", [0.0, 0.05])
 def test_differences_do_not_depend_on_the_unit_of_torque(free_nm: float) -> None:
     """Nor where friction is free at rest: there a share of log |det J|, which has units, must not hang on a level, nor
     on how much of a record one of the models has at rest."""
@@ -135,7 +134,7 @@ def test_differences_do_not_depend_on_the_unit_of_torque(free_nm: float) -> None
         one, other = (converge_motion(problem, s, 40) for s in (one, other))
         assert one.noise.stiction is not None and other.noise.stiction is not None
         found.append(log_marginal(problem, other) - log_marginal(problem, one))
-    assert abs(found[0]) > 1.0 and found[1] == pytest.approx(found[0], rel=1e-6)
+    assert abs(found[0]) > 1.0 and found[1] == approx(found[0], rel=1e-6)
 
 
 def test_a_level_of_the_passive_joint_that_shrinks_is_not_likelier_for_ever() -> None:
@@ -156,4 +155,4 @@ def test_a_disturbance_s_level_has_the_likelihood_that_its_search_has() -> None:
         one = Disturbance(np.array([0.0, level]), np.array([1.0, 0.1]), state.noise.torque)
         told.append(log_marginal(wide, converge_motion(wide, replace(state, x=x, noise=one.put(state.noise)), 40)))
         wanted.append(marginal(one))
-    assert np.diff(told) == pytest.approx(np.diff(wanted), abs=0.5)
+    assert np.diff(told) == approx(np.diff(wanted), abs=0.5)

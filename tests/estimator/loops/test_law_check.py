@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 from daq import Dataset, FloatArray
 from estimator import Diagnosis
@@ -107,7 +107,7 @@ FAULTS = {
 """Effect to what makes it and, where it is the library's function, its size."""
 
 
-@pytest.mark.parametrize("effect", FAULTS)
+@mark.parametrize("effect", FAULTS)
 def test_a_fault_is_named_with_its_size(effect: str) -> None:
     spoil, size = FAULTS[effect]
     (check,) = law_checks(runs(spoil), LEG)
@@ -115,8 +115,8 @@ def test_a_fault_is_named_with_its_size(effect: str) -> None:
     assert (cause.effect, cause.joint) == (effect, 1) and cause.p_value < 0.01
     assert cause.share[0] > LEAST_SHARE and cause.share[1] < 0.5 * cause.share[0]
     if size is not None:
-        assert cause.size[0] == pytest.approx(size, rel=0.08)
-    assert check.after.gains == pytest.approx(np.full(4, 6.0), rel=0.05)
+        assert cause.size[0] == approx(size, rel=0.08)
+    assert check.after.gains == approx(np.full(4, 6.0), rel=0.05)
 
 
 def test_the_faults_are_those_of_this_test_and_effects_of_the_library() -> None:
@@ -124,7 +124,7 @@ def test_the_faults_are_those_of_this_test_and_effects_of_the_library() -> None:
     assert named == set(FAULTS) and named <= {kind.name for kind in classes()}
 
 
-@pytest.mark.parametrize("seed", range(2, 8))
+@mark.parametrize("seed", range(2, 8))
 def test_a_healthy_loop_has_no_fault(seed: int) -> None:
     (check,) = law_checks(runs(seed=seed), LEG)
     assert not check.causes and not check.broken and check.before.share < LEAST_SHARE
@@ -183,7 +183,7 @@ def test_corrected_readings_are_those_without_the_fault() -> None:
     (check,) = law_checks(spoilt, LEG)
     fixed = corrected_readings(spoilt, LEG, 1, check.after.faults)
     assert np.abs(fixed[0]["q2_rad"] - plain[0]["q2_rad"]).max() < 0.005
-    assert fixed[0]["tau2_nm"] == pytest.approx(spoilt[0]["tau2_nm"])
+    assert fixed[0]["tau2_nm"] == approx(spoilt[0]["tau2_nm"])
 
 
 def test_a_diagnosis_has_what_the_law_shows_as_its_cause_and_in_its_model() -> None:
@@ -194,7 +194,7 @@ def test_a_diagnosis_has_what_the_law_shows_as_its_cause_and_in_its_model() -> N
     assert (found.verdict, cause.effect, cause.joint) == ("named", "torque_delay", None)
     low, high = cause.size[0].ci95
     assert 0.0195 < low < high < 0.0205 and "the law of the loop errs by" in found.sentence
-    assert found.effects[0][1] == pytest.approx([0.02], rel=0.05)
+    assert found.effects[0][1] == approx([0.02], rel=0.05)
     assert found.extended_covariance.shape == (LEG.p + 1, LEG.p + 1) and len(found.extended_beta) == LEG.p + 1
     assert with_law(replace(leg, verdict="unexplained"), checks, LEG, 1.0).verdict == "partial"
 
@@ -210,7 +210,7 @@ def test_what_was_there_before_is_no_change() -> None:
     assert changed_law(sizes(late_torque), runs(late_torque, seed=2), LEG) == []
     assert changed_law(sizes(), runs(seed=2), LEG) == []
     (change,) = changed_law(sizes(late_torque), runs(later, seed=2), LEG)
-    assert change.cause.size[0] == pytest.approx(0.025, rel=0.08)
+    assert change.cause.size[0] == approx(0.025, rel=0.08)
     found = with_changed_law(Change("no_change", "No change."), [change], LEG, 1.0)
     (cause,) = found.causes
     assert (found.verdict, cause.effect, cause.kind) == ("named", "torque_delay", "timing")

@@ -4,6 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import engine_leg, timed_leg
 from tests.support.mujoco_leg import random_leg
@@ -23,8 +24,8 @@ def test_an_engine_moves_the_leg_as_ours_does(name: str, loop: str) -> None:
         rng = np.random.default_rng(7)
         found.append(make(random_leg(rng), rng))
     theirs, ours = found
-    np.testing.assert_allclose(theirs.time_s, ours.time_s)
-    np.testing.assert_allclose(theirs["gyro_radps"], ours["gyro_radps"], atol=ERRORS[name])
+    assert_allclose(theirs.time_s, ours.time_s)
+    assert_allclose(theirs["gyro_radps"], ours["gyro_radps"], atol=ERRORS[name])
 
 
 def test_a_missing_engine_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,4 +40,4 @@ def test_a_log_may_lie_between_ticks() -> None:
     rows = np.zeros((plan.size * 16, 7))
     run = timed_leg.logged(leg, rng, timing, rows, plan, noise=(0.0, 0.0, 0.0), log_hz=200.0)
     assert run.rate_hz == 200.0 and len(run) == 200
-    np.testing.assert_array_equal(run["tau2_nm"][:4], plan[[0, 2, 5, 7]])
+    assert_array_equal(run["tau2_nm"][:4], plan[[0, 2, 5, 7]])

@@ -1,11 +1,10 @@
 """Whoever uses the table of terms knows each of them, and all get the same from it."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark
 
-from estimator.model import Collocation, Mechanism, Motion, Parameter, biped3, joint1, leg2
-from estimator.model.chain import chain
+from estimator.model import Collocation, Mechanism, Motion, Parameter, biped3, chain, joint1, leg2
 from estimator.model.terms import TERMS
 from tests.support.assembly_numpy import evaluate
 
@@ -22,15 +21,15 @@ def test_the_leg_that_stands_for_all_has_every_term() -> None:
     assert {parameter.term for parameter in EVERY.parameters} == set(TERMS)
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+@mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
 def test_inertia_matrix_and_bias_make_the_regressor(mechanism: Mechanism) -> None:
     q, qd, qdd = np.random.default_rng(3).normal(size=(3, 6, mechanism.n))
     beta = np.linspace(0.5, 1.5, mechanism.p)
     parts = np.einsum("kij,kj->ki", mechanism.inertia_matrix(q, beta), qdd) + mechanism.bias_torque(q, qd, beta)
-    assert mechanism.inverse_dynamics(q, qd, qdd, beta) == pytest.approx(parts, rel=1e-12)
+    assert mechanism.inverse_dynamics(q, qd, qdd, beta) == approx(parts, rel=1e-12)
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+@mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
 def test_collocation_has_the_regressor_where_the_rate_is_constant(mechanism: Mechanism) -> None:
     motion, _ = random(mechanism, 5)
     z = Collocation(mechanism, 0.01, "linear")
@@ -39,7 +38,7 @@ def test_collocation_has_the_regressor_where_the_rate_is_constant(mechanism: Mec
     assert_allclose(found, known.transpose(3, 2, 0, 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+@mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
 def test_slopes_are_the_derivatives(mechanism: Mechanism) -> None:
     motion, beta = random(mechanism, 6)
     motion = Motion(*(np.where(np.abs(x) < 0.1, 0.1, x) for x in motion))  # of the sign by its slowest scale, 0.005
@@ -61,16 +60,16 @@ def kernels_are_right(mechanism: Mechanism, seed: int) -> np.ndarray:
     c = Collocation(mechanism, 0.01, "linear")
     fast = c.fast(*motion, beta)
     for known, found in zip(evaluate(c, motion, beta), fast):
-        np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-10)
+        assert_allclose(found, known, rtol=0.0, atol=1e-10)
     return fast[0]
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+@mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
 def test_kernels_have_the_terms_of_the_table(mechanism: Mechanism) -> None:
     kernels_are_right(mechanism, 4)
 
 
-@pytest.mark.parametrize("term", TERMS)
+@mark.parametrize("term", TERMS)
 def test_kernels_know_each_term_by_itself(term: str) -> None:
     """A code that no kernel asks for would leave its row empty."""
     parameters = Parameter("a", "", "", "inertia", (0, 0)), Parameter("b", "", "", term, (1, 1))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator.numerics import BlockTridiagonal, eliminate
@@ -9,7 +10,7 @@ from estimator.numerics import BlockTridiagonal, eliminate
 
 def chain(n: int, b: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Dense matrix, diagonal and lower blocks of a random positive definite chain; unknowns differ by `scale`."""
-    rng = np.random.default_rng(n)
+    rng = default_rng(n)
     full = np.eye(n * b)
     for k in range(n - 1):
         j = rng.normal(size=(b + 2, 2 * b))
@@ -27,7 +28,7 @@ WEIGHTS = np.array([1.0, 0.5, -2.0, 0.0])
 @pytest.mark.parametrize("n, b", [(1, 3), (2, 3), (3, 6), (101, 3), (80, 6), (40, 9)])
 def test_solution_and_inverse_agree_with_the_dense_ones(n: int, b: int) -> None:
     full, diagonal, lower = chain(n, b)
-    dense, rhs = np.linalg.inv(full), np.random.default_rng(1).normal(size=(n * b, 4))
+    dense, rhs = np.linalg.inv(full), default_rng(1).normal(size=(n * b, 4))
     swept = eliminate(BlockTridiagonal.of(diagonal, lower, rhs))
     assert_allclose(swept.product(), rhs.T @ dense @ rhs, atol=1e-10)
     assert_allclose(swept.solution(WEIGHTS), (dense @ rhs @ WEIGHTS).reshape(n, b), atol=1e-11)
@@ -43,7 +44,7 @@ def test_solution_and_inverse_agree_with_the_dense_ones(n: int, b: int) -> None:
 
 def test_a_long_chain_of_short_ones_has_their_solutions() -> None:
     times, (_, diagonal, lower) = 300, chain(20, 6)
-    rhs = np.random.default_rng(2).normal(size=(20 * 6, 4))
+    rhs = default_rng(2).normal(size=(20 * 6, 4))
     short = eliminate(BlockTridiagonal.of(diagonal, lower, rhs))
     open_ends = np.concatenate([lower, np.zeros((1, 6, 6))])
     long = eliminate(BlockTridiagonal.of(np.tile(diagonal, (times, 1, 1)), np.tile(open_ends, (times, 1, 1))[:-1],

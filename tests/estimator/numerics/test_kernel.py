@@ -11,7 +11,7 @@ from typing import Any
 
 import numba
 import numpy as np
-import pytest
+from pytest import MonkeyPatch, fixture, mark, raises
 
 from estimator.numerics import compile_kernel
 from tests.support.paths import ROOT
@@ -33,8 +33,8 @@ def scaled(factor: float) -> Callable[..., None]:
     return compile_kernel(run, "f2 n f2")
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@fixture
+def cache(tmp_path: Path, monkeypatch: MonkeyPatch) -> Path:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kernels"))
     return tmp_path / "kernels"
 
@@ -83,19 +83,19 @@ def test_on_a_full_disk_a_kernel_works_all_the_same(cache: Path) -> None:
     assert sum_of(kernel) == 54.0 and not any(path.stat().st_size for path in files(cache))
 
 
-def test_without_a_folder_a_kernel_works_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_folder_a_kernel_works_all_the_same(monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "CACHE_LOCATOR_CLASSES", "IPythonCacheLocator")  # none for a plain file
     assert sum_of(scaled(4.0)) == 54.0
 
 
-@pytest.mark.parametrize("wrong", [np.zeros((2, 3), dtype=np.float32), np.zeros(6), np.zeros((3, 2)).T,
+@mark.parametrize("wrong", [np.zeros((2, 3), dtype=np.float32), np.zeros(6), np.zeros((3, 2)).T,
                                    np.zeros((2, 6))[:, ::2], np.zeros((2, 3), dtype=np.int64)])
 def test_an_array_of_another_kind_is_refused(wrong: np.ndarray) -> None:
-    with pytest.raises(TypeError, match="No matching definition"):
+    with raises(TypeError, match="No matching definition"):
         scaled(2.0)(wrong, 0, np.ones((2, 3)))
 
 
-@pytest.mark.usefixtures("cache")
+@mark.usefixtures("cache")
 def test_threads_that_ask_at_once_have_one_answer() -> None:
     with ThreadPoolExecutor(4) as pool:
         assert set(pool.map(lambda _: sum_of(scaled(5.0)), range(8))) == {66.0}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimator.numerics import inverse_root, pseudo_inverse
 
@@ -19,7 +20,7 @@ def test_it_is_the_inverse_where_there_is_one(information: np.ndarray) -> None:
     both = size[:, :, None] * size[:, None, :]
     root = inverse_root(information)
     for found in (pseudo_inverse(information), root @ root.swapaxes(1, 2)):
-        np.testing.assert_allclose(found / both, known / both, atol=1e-11)
+        assert_allclose(found / both, known / both, atol=1e-11)
 
 
 def test_damping_adds_to_the_diagonal(information: np.ndarray) -> None:
@@ -27,7 +28,7 @@ def test_damping_adds_to_the_diagonal(information: np.ndarray) -> None:
     diagonal = np.einsum("rii->ri", information)[:, :, None] * np.eye(4)
     known = np.linalg.inv(information + damping[:, None, None] * diagonal)
     size = np.sqrt(np.einsum("rii->ri", known))
-    np.testing.assert_allclose((pseudo_inverse(information, damping) - known) / (size[:, :, None] * size[:, None, :]),
+    assert_allclose((pseudo_inverse(information, damping) - known) / (size[:, :, None] * size[:, None, :]),
                                0.0, atol=1e-11)
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, mark, raises
 from scipy.interpolate import RegularGridInterpolator
 
 from daq import FloatArray
@@ -23,7 +24,7 @@ RUNS, SAMPLES = 6, 1000
 LEG = leg2(actuated=(1,))
 
 
-def points(rng: np.random.Generator) -> Points:
+def points(rng: Generator) -> Points:
     """Multisines of both joints and of the motor's torque."""
     t = np.arange(SAMPLES) * 0.01
     f = np.array([0.23, 0.61, 1.13])[:, None]
@@ -36,34 +37,34 @@ def points(rng: np.random.Generator) -> Points:
 
 def samples(law: Callable[[Points], FloatArray], noise: FloatArray, seed: int = 1) -> Samples:
     """Residuals of the knee: `law` and noise (N,)."""
-    at = points(np.random.default_rng(seed))
+    at = points(default_rng(seed))
     residual = np.stack([np.zeros_like(noise), law(at) + noise], axis=-1)
     return Samples(at, residual, np.ones_like(residual), np.zeros(2), np.repeat(np.arange(RUNS), SAMPLES))
 
 
 def white(seed: int) -> FloatArray:
-    return 0.02 * np.random.default_rng(seed).normal(size=RUNS * SAMPLES)
+    return 0.02 * default_rng(seed).normal(size=RUNS * SAMPLES)
 
 
 def test_tables_interpolate_and_keep_their_edges() -> None:
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     knots = tuple(np.cumsum(rng.uniform(0.1, 0.4, 6)) - 1.0 for _ in range(2))
     values = rng.normal(size=(6, 6))
     at = points(rng)
     pair = Table((Variable("angle", 1), Variable("rate", 0)), knots, values, values)
     clipped = [np.clip(x, k[0], k[-1]) for x, k in zip((at.q[1], at.v[0]), knots)]
     expected = RegularGridInterpolator(knots, values)(np.stack(clipped, axis=-1))
-    assert pair.torque(at, 1) == pytest.approx(expected, abs=1e-12)
-    assert pair.columns(at, 1) @ values.ravel() == pytest.approx(expected, abs=1e-12)
+    assert pair.torque(at, 1) == approx(expected, abs=1e-12)
+    assert pair.columns(at, 1) @ values.ravel() == approx(expected, abs=1e-12)
     directed = replace(pair, directed=True)
-    assert directed.torque(at, 1) == pytest.approx(expected * at.sign[1], abs=1e-12)
-    assert directed.columns(at, 1) @ values.ravel() == pytest.approx(expected * at.sign[1], abs=1e-12)
+    assert directed.torque(at, 1) == approx(expected * at.sign[1], abs=1e-12)
+    assert directed.columns(at, 1) @ values.ravel() == approx(expected * at.sign[1], abs=1e-12)
     law = StateTorque(1, [pair, directed], 0.3)
-    assert law.torque(at) == pytest.approx(0.3 + expected * (1.0 + at.sign[1]), abs=1e-12)
+    assert law.torque(at) == approx(0.3 + expected * (1.0 + at.sign[1]), abs=1e-12)
     assert list(law.felt(2)) == [0, 1] and law.count == 0
     slack = 0.02 * np.ptp(knots[0])
     share = np.mean((at.q[1] < knots[0][0] - slack) | (at.q[1] > knots[0][-1] + slack))
-    assert outside_range([law], at)["angle of joint 2"] == pytest.approx(share) and share > 0.0
+    assert outside_range([law], at)["angle of joint 2"] == approx(share) and share > 0.0
 
 
 LAWS = {
@@ -75,11 +76,11 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("name", LAWS)
+@mark.parametrize("name", LAWS)
 def test_a_hidden_law_is_within_its_bands(name: str) -> None:
     found = learn_torque(samples(LAWS[name], white(2)), 1, LEG)
-    assert found.noise_nm == pytest.approx(0.02, rel=0.05)
-    at = points(np.random.default_rng(3))
+    assert found.noise_nm == approx(0.02, rel=0.05)
+    at = points(default_rng(3))
     truth, learnt, std = LAWS[name](at), found.law.torque(at), found.std(at)
     assert np.mean(np.abs(learnt - truth) < 1.96 * std) > 0.9
     assert np.std(learnt - truth) < 0.1 * np.std(truth) and np.median(std) < 0.1 * np.std(truth)
@@ -87,10 +88,10 @@ def test_a_hidden_law_is_within_its_bands(name: str) -> None:
     assert " and ".join([*(v.kind for v in strongest.variables), *["direction"] * strongest.directed]) == name
 
 
-@pytest.mark.parametrize("seed", range(2))
+@mark.parametrize("seed", range(2))
 def test_noise_and_disturbances_teach_nothing(seed: int) -> None:
     assert learn_torque(samples(lambda at: 0.0 * at.q[1], white(seed), seed), 1, LEG) is None
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     wandering = np.concatenate([draw(rng, SAMPLES, 0.05, 0.1, 0.01) for _ in range(RUNS)])
     assert learn_torque(samples(lambda at: 0.0 * at.q[1], wandering, seed), 1, LEG) is None
     assert learn_torque(samples(lambda at: 0.0 * at.q[1], np.zeros(RUNS * SAMPLES)), 1, LEG) is None
@@ -105,13 +106,13 @@ def test_bands_widen_with_the_scatter_between_runs() -> None:
 
 
 def test_correlation_time_is_that_of_the_process() -> None:
-    rng, phi = np.random.default_rng(1), 0.8
+    rng, phi = default_rng(1), 0.8
     x = np.zeros(40_000)
     for k, e in enumerate(rng.normal(size=x.size - 1)):
         x[k + 1] = phi * x[k] + e
     run = np.repeat(np.arange(4), 10_000)
-    assert correlation_time(x, run) == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
-    assert correlation_time(rng.normal(size=x.size), run) == pytest.approx(1.0, abs=0.1)
+    assert correlation_time(x, run) == approx((1 + phi) / (1 - phi), rel=0.1)
+    assert correlation_time(rng.normal(size=x.size), run) == approx(1.0, abs=0.1)
 
 
 def test_what_acts_in_another_engine_is_found() -> None:
@@ -143,12 +144,12 @@ def test_it_is_not_offered_where_runs_err_more_at_one_horizon() -> None:
     assert found.holds(0.1) and not replace(found, table=replace(found.table, squares=squares)).holds(0.1)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@mark.parametrize("seed", range(3))
 def test_a_healthy_leg_has_none(seed: int) -> None:
     found = find_structure(true_model(), runs_of(None, 10 + seed, 4, 3.0), OPTIONS)
     assert found is None or not found.holds(0.1)
 
 
 def test_one_run_shows_nothing_that_repeats() -> None:
-    with pytest.raises(FitError, match="one run"):
+    with raises(FitError, match="one run"):
         find_structure(true_model(), runs_of(None, 1, 1, 2.0), OPTIONS)

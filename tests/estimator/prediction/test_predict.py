@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
+from pytest import approx
 
 from daq import Dataset
 from estimator import FitOptions
@@ -68,8 +68,8 @@ def test_a_free_swing_errs_by_what_a_wrong_gravity_makes_of_it() -> None:
                     replace(OPTIONS, noise={"encoder_rad": 1e-6}), (1.0,))
     s = np.linspace(0.0, 1.0, 2001)
     expected = amplitude * np.sqrt(np.mean(2.0 * np.sin(0.5 * (np.sqrt(off) - 1.0) * w * s) ** 2))
-    assert found.rms(0, "q1_rad", 1.0) == pytest.approx(expected, rel=0.05)
-    assert found.variance[0] == pytest.approx(amplitude**2 / 2.0, rel=0.01)
+    assert found.rms(0, "q1_rad", 1.0) == approx(expected, rel=0.05)
+    assert found.variance[0] == approx(amplitude**2 / 2.0, rel=0.01)
 
 
 def test_a_pendulum_without_error_errs_by_the_noise_floor() -> None:
@@ -80,7 +80,7 @@ def test_a_pendulum_without_error_errs_by_the_noise_floor() -> None:
     floors = [floor_errors(one, rng, HORIZONS_S, pendulum().problem) for one in smoothed for _ in range(3)]
     floor = np.mean([np.mean(f[:, 0] ** 2, axis=-1) for f in floors], axis=0)
     error = np.sqrt(tabulate(parts).squares[0, :, 0].mean(axis=0) / floor)
-    assert error == pytest.approx(np.ones(len(HORIZONS_S)), rel=0.2)
+    assert error == approx(np.ones(len(HORIZONS_S)), rel=0.2)
     heavy = pendulum(PENDULUM * np.array([1.03, 1, 1, 1]))
     wrong = tabulate([predict_run([smooth(heavy, run, OPTIONS)], HORIZONS_S, run) for run in runs])
     assert (np.sqrt(wrong.squares[0, :, 0].mean(axis=0) / floor)[1:] > 2.0).all()
@@ -135,8 +135,8 @@ def test_validate_prints_horizons_with_baseline_noise_and_another_model(tmp_path
     assert "the model was fitted to run run1.csv" in printed.out and "fitted to run run2.csv" not in printed.out
     assert "last velocity" in printed.out and "noise alone" in printed.out
     assert found["fitted_to"] == ["run1.csv"]
-    assert [h["horizon_s"] for h in found["horizons"]] == pytest.approx([0.1, 0.25, 1.0, 5.99])
+    assert [h["horizon_s"] for h in found["horizons"]] == approx([0.1, 0.25, 1.0, 5.99])
     for h in found["horizons"]:
         assert h["rmse"]["q1_rad"] < 0.5 * h["against"]["rmse"]["q1_rad"]
-        assert h["noise"]["q1_rad"] == pytest.approx(1e-4, rel=0.4)
+        assert h["noise"]["q1_rad"] == approx(1e-4, rel=0.4)
     assert found["horizons"][2]["rmse"]["q1_rad"] < 0.1 * found["horizons"][2]["last_velocity"]["q1_rad"]

@@ -1,7 +1,7 @@
 """Rehearsals have the noise of the records: each axis' own level, and what is declared of correlations."""
 
 import numpy as np
-import pytest
+from pytest import approx
 
 from estimator import FitOptions
 from estimator.diagnosis.data_split import split_runs
@@ -31,8 +31,8 @@ def test_axes_of_a_replicate_have_their_levels_and_correlation() -> None:
                       for replicate in (draw_replicate(model.problem, model.state, signals, rng, truth)
                                         for _ in range(DRAWS))])
     left = (drawn - drawn.mean(axis=0)).transpose(1, 0, 2).reshape(2, -1)
-    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=1) == pytest.approx(noise.accel[0], rel=0.03)
-    assert np.corrcoef(left)[0, 1] == pytest.approx(0.6, abs=0.03)
+    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=1) == approx(noise.accel[0], rel=0.03)
+    assert np.corrcoef(left)[0, 1] == approx(0.6, abs=0.03)
 
 
 def test_torques_of_a_replicate_correlate_as_declared() -> None:
@@ -44,5 +44,5 @@ def test_torques_of_a_replicate_correlate_as_declared() -> None:
     replicates = [draw_replicate(model.problem, model.state, signals, rng, truth) for _ in range(DRAWS)]
     drawn = np.array([np.concatenate([s.torque for s in replicate]) for replicate in replicates])
     left = (drawn - drawn.mean(axis=0)).reshape(-1, 2)
-    assert np.corrcoef(left.T)[0, 1] == pytest.approx(-0.5, abs=0.03)
-    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=0) == pytest.approx(model.state.noise.torque, rel=0.03)
+    assert np.corrcoef(left.T)[0, 1] == approx(-0.5, abs=0.03)
+    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=0) == approx(model.state.noise.torque, rel=0.03)

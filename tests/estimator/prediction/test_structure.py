@@ -1,6 +1,7 @@
 """What repeats from run to run is structure; what does not is a disturbance."""
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from daq import FloatArray
 from estimator.prediction import driven_columns, repeated_share, state_columns
@@ -9,7 +10,7 @@ from tests.support.ornstein_uhlenbeck import draw
 RUNS, SAMPLES = 6, 1000
 
 
-def motion(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def motion(rng: Generator) -> tuple[FloatArray, FloatArray]:
     """(N, 2) angle and rate of six multisines of three tones each."""
     t = np.arange(SAMPLES) * 0.01
     f = np.array([0.3, 0.7, 1.1])[:, None]
@@ -30,7 +31,7 @@ def share(residual: FloatArray, q: FloatArray, v: FloatArray, torque: FloatArray
 
 
 def test_functions_of_the_state_repeat() -> None:
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     q, v = motion(rng)
     noise = 0.1 * rng.normal(size=q.size)
     assert share(0.5 * q**3 + noise, q, v) > 0.95
@@ -40,7 +41,7 @@ def test_functions_of_the_state_repeat() -> None:
 
 def test_hysteresis_repeats() -> None:
     """A spring of play: its force depends on the way since the last turn, not on angle and rate."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     q, v = motion(rng)
     force, now = np.empty_like(q), 0.0
     for k, step in enumerate(np.diff(q, prepend=q[0])):
@@ -50,7 +51,7 @@ def test_hysteresis_repeats() -> None:
 
 
 def test_a_disturbance_does_not_repeat() -> None:
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     q, v = motion(rng)
     for time_constant_s in (0.05, 0.3, 2.0):
         wandering = np.concatenate([draw(rng, SAMPLES, 1.0, time_constant_s, 0.01) for _ in range(RUNS)])
@@ -60,13 +61,13 @@ def test_a_disturbance_does_not_repeat() -> None:
 
 
 def test_nothing_has_no_structure() -> None:
-    q, v = motion(np.random.default_rng(4))
+    q, v = motion(default_rng(4))
     assert share(np.zeros_like(q), q, v) == 0.0
 
 
 def test_what_a_late_torque_leaves_repeats() -> None:
     """3 ms of a torque that does not follow from the state: of another multisine in each run."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     q, v = motion(rng)
     torque, rate = motion(rng)
     left, ends = 0.003 * rate + 0.002 * rng.normal(size=q.size), np.arange(1, RUNS + 1) * SAMPLES

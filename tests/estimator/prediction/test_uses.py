@@ -4,7 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
+from pytest import approx, mark
 
 from daq import FloatArray
 from estimator import ENOUGH, FitOptions, fit
@@ -19,13 +20,13 @@ from tests.support.timed_leg import Timing, record
 
 def regression(runs: int) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
     """Rows (n, 3) and readings (n,) of each run, and the estimate by all."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     rows = [rng.normal(size=(20, 3)) for _ in range(runs)]
     readings = [x @ [1.0, -2.0, 0.5] + rng.normal(size=20) for x in rows]
     return rows, readings, np.linalg.lstsq(np.vstack(rows), np.concatenate(readings), rcond=None)[0]
 
 
-@pytest.mark.parametrize("unit", ["run", "segment"])
+@mark.parametrize("unit", ["run", "segment"])
 def test_a_step_is_the_fit_without_the_part(unit: Any) -> None:
     rows, readings, beta = regression(8)
     scores = RunScores(tuple("abcdefgh"), tuple(Score(x.T @ (y - x @ beta), x.T @ x) for x, y in zip(rows, readings)),
@@ -36,7 +37,7 @@ def test_a_step_is_the_fit_without_the_part(unit: Any) -> None:
         others = [k for k in range(8) if not where.start <= 20 * k < where.stop]
         again = np.linalg.lstsq(np.vstack([rows[k] for k in others]), np.concatenate([readings[k] for k in others]),
                                 rcond=None)[0]
-        assert beta + step == pytest.approx(again, abs=1e-9)
+        assert beta + step == approx(again, abs=1e-9)
     held = steps_without(scores, np.array([True, False, True]))
     assert all(step[1] == 0.0 and step[0] != 0.0 for _, step in held)
     assert steps_without(RunScores(("a",), scores.scores[:1]), np.ones(3, dtype=bool)) == []
@@ -45,14 +46,14 @@ def test_a_step_is_the_fit_without_the_part(unit: Any) -> None:
 def test_errors_are_shares_of_the_spread_and_the_longest_horizon_is_told() -> None:
     time = np.arange(6000) / 100.0
     angle = np.sin(time)
-    noise = np.random.default_rng(1).normal(size=(8, time.size))
+    noise = default_rng(1).normal(size=(8, time.size))
     errors = {0.1: 0.01, 1.0: 0.02, np.inf: 0.3}
     runs = [predicted_run(f"r{k}", 100.0, {"q1_rad": angle, "q1d": angle},
                           {h: size * angle.std() * one for h, size in errors.items()}) for k, one in enumerate(noise)]
     runs = [replace(run, residual_torque=0.05 * one[None, :, None]) for run, one in zip(runs, noise)]
     simulation, feedforward = uses_of(tabulate(runs, 0), [0])
     assert simulation.use == "simulation" and simulation.horizon_s == 1.0 and simulation.supported
-    assert simulation.figure == pytest.approx(0.02, rel=0.03) and feedforward.figure == pytest.approx(0.05, rel=0.03)
+    assert simulation.figure == approx(0.02, rel=0.03) and feedforward.figure == approx(0.05, rel=0.03)
     assert simulation.ci95 is not None and simulation.ci95[0] < 0.02 < simulation.ci95[1] < ENOUGH
     worse = uses_of(tabulate([replace(run, simulated=run.simulated + 1.0) for run in runs], 0), [])
     assert len(worse) == 1 and not worse[0].supported and worse[0].horizon_s == 1.0
@@ -64,7 +65,7 @@ def test_errors_are_shares_of_the_spread_and_the_longest_horizon_is_told() -> No
 
 
 def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
-    rng = np.random.default_rng(12)
+    rng = default_rng(12)
     leg = random_leg(rng)
     runs = [record(leg, rng, Timing(100.0), seconds=8.0, name=f"r{k}") for k in range(8)]
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="zero")
@@ -73,7 +74,7 @@ def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
     assert table is not None and len(result.left_out) == 6
     moved = np.array([part.beta - result.beta for part in result.left_out])
     again = fit(runs[1:6], mechanism, options)
-    assert moved[0] == pytest.approx(again.beta - result.beta, abs=0.3 * float(result.std.max()))
+    assert moved[0] == approx(again.beta - result.beta, abs=0.3 * float(result.std.max()))
     uses = uses_of(table, mechanism.actuated)
     assert [one.use for one in uses] == ["simulation", "feedforward"] and all(one.supported for one in uses)
     new = predict([FittedModel(mechanism, "zero", result.beta)], runs[6:], options)

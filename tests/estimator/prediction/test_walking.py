@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from estimator import FitOptions, fit
 from estimator.model import biped3
@@ -20,12 +21,12 @@ OPTIONS = FitOptions(sensors="encoder", hold="zero", noise=NOISE)
 
 @cache
 def walked() -> Walk:
-    return walk(Plant(Walker()), Gait(), 20, np.random.default_rng(5))
+    return walk(Plant(Walker()), Gait(), 20, default_rng(5))
 
 
 @pytest.mark.parametrize("stance", [True, False])
 def test_twenty_steps_have_one_beta(stance: bool) -> None:
-    data, found = cut_steps(record("walk", walked(), np.random.default_rng(1), stance=stance))
+    data, found = cut_steps(record("walk", walked(), default_rng(1), stance=stance))
     result = fit([data], HIPS, OPTIONS)
     error = result.beta - Walker().beta
     assert result.converged and not result.undetermined and found.time_s.size == 19
@@ -35,7 +36,7 @@ def test_twenty_steps_have_one_beta(stance: bool) -> None:
 
 def test_legs_that_do_not_change_places_are_no_walker() -> None:
     """The same record with the hips left where they are: the fit cannot be near."""
-    data = record("walk", walked(), np.random.default_rng(1))
+    data = record("walk", walked(), default_rng(1))
     wrong = replace(cut_steps(data)[0], columns={**cut_steps(data)[0].columns, **{
         name: np.where(np.isnan(cut_steps(data)[0][name]), np.nan, data[name]) for name in ("q2_rad", "q3_rad")}})
     result = fit([wrong], HIPS, OPTIONS)
@@ -43,7 +44,7 @@ def test_legs_that_do_not_change_places_are_no_walker() -> None:
 
 
 def exact() -> tuple[Walking, np.ndarray, np.ndarray]:
-    data, _ = cut_steps(record("walk", walked(), np.random.default_rng(0), Sensors(0.0, 0.0, 0.0), stance=True))
+    data, _ = cut_steps(record("walk", walked(), default_rng(0), Sensors(0.0, 0.0, 0.0), stance=True))
     true = roles(walked())
     return walking(data, HIPS), np.concatenate([q for q, *_ in true]), np.concatenate([v for _, v, _ in true])
 
@@ -68,7 +69,7 @@ def test_without_the_impact_it_is_another_motion(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_walker_that_falls_has_no_error() -> None:
-    data, _ = cut_steps(record("walk", walked(), np.random.default_rng(1)))
+    data, _ = cut_steps(record("walk", walked(), default_rng(1)))
     weak = Walker().beta * np.array([1, 1, 1, 1, 1, 1.02, 1, 1])
     found = walk_ahead([(data, smooth(FittedModel(HIPS, "zero", weak), data, OPTIONS))])
     last = found.ahead[-1]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from daq import FloatArray
 from estimator import Diagnosis, Effect, FitOptions
@@ -39,12 +40,12 @@ SPRING, HOSE, OFFSET = JointStiffness(1), Hose(1), TorqueOffset()
 def sprung() -> DiagnosisContext:
     """The nominal fit of runs with a spring of 0.4 N m/rad at the knee."""
     leg = Leg()
-    runs = [record(leg, np.random.default_rng(640 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+    runs = [record(leg, default_rng(640 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
     runs = [replace(run, columns=dict(run.columns) | {"tau2_nm": run["tau2_nm"] + 0.4 * run["q2_rad"] - 0.05})
             for run in runs]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     candidates = [Candidate(e) for e in (SPRING, HOSE, OFFSET)]
-    return scored(nominal_model(split), candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
+    return scored(nominal_model(split), candidates, len(candidates), default_rng(1), lambda *_: None)[0]
 
 
 def fitted(context: DiagnosisContext, *effects: Effect) -> Explanation:
@@ -78,7 +79,7 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
 
 
 def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
-    context, tests = scored(nominal_model(sprung.split), sprung.candidates, sprung.named, np.random.default_rng(1),
+    context, tests = scored(nominal_model(sprung.split), sprung.candidates, sprung.named, default_rng(1),
                             lambda *_: None, sprung.bias)
     found = exchanged(context, tests, [fitted(context, SPRING)])
     assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)
@@ -86,7 +87,7 @@ def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContex
 
 
 def test_sizes_are_determined_where_the_other_columns_leave_information() -> None:
-    rng, runs = np.random.default_rng(3), []
+    rng, runs = default_rng(3), []
     for _ in range(4):
         rows = rng.normal(size=(50, 4))
         rows[:, 1] = rows[:, 0] + 1e-4 * rows[:, 1]  # a share of 1e-8 is its own

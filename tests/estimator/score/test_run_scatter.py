@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import Generator, default_rng
+from pytest import approx, fixture
 from scipy.special import stdtrit
 from scipy.stats import chi2
 
@@ -19,7 +20,7 @@ from tests.support.mujoco_leg import Leg, record
 SIGMA = 0.5
 
 
-def regression(rng: np.random.Generator, sizes: list[int], scatter: FloatArray, beta: FloatArray
+def regression(rng: Generator, sizes: list[int], scatter: FloatArray, beta: FloatArray
                ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Designs and readings of linear runs of these sizes, each by a beta of its own."""
     designs = [rng.normal(size=(n, beta.size)) for n in sizes]
@@ -39,7 +40,7 @@ def scored(designs: list[FloatArray], readings: list[FloatArray]) -> tuple[RunSc
 
 def test_intervals_are_those_of_cr2_by_residuals() -> None:
     """Bell and McCaffrey's own formulas take the N by N hat matrix; with a scatter as large they decide alone."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     designs, readings = regression(rng, [8, 12, 20, 9], np.array([3.0, 2.0]), np.array([1.0, -1.0]))
     scores, beta, covariance = scored(designs, readings)
     wide, found = agreement_of(scores, beta, covariance, np.ones(2, dtype=bool))
@@ -59,11 +60,11 @@ def test_intervals_are_those_of_cr2_by_residuals() -> None:
     from scipy.stats import t
     expected = t.ppf(0.975, freedom) * np.sqrt(np.diag(filled))
     assert found.disagree
-    assert found.quantile * np.sqrt(np.diag(wide)) == pytest.approx(expected, rel=1e-6)
+    assert found.quantile * np.sqrt(np.diag(wide)) == approx(expected, rel=1e-6)
 
 
 def test_runs_that_agree_cost_nothing_beyond_chance_and_others_are_covered() -> None:
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     beta, free = np.array([1.0, 0.3, -0.5]), np.ones(3, dtype=bool)
     told, inside, inside_alone = 0, [], []
     for _ in range(400):
@@ -87,12 +88,12 @@ def test_q_has_its_probability() -> None:
     for squares in (1.0, 5.0, 12.0, 40.0):
         step = np.sqrt(squares / 2.0)
         white = np.array([[step], [-step], [0.0], [0.0]]) / 2.0  # each run knows a quarter
-        assert homogeneity(white, np.full((4, 1, 1), 0.25)) == pytest.approx(chi2.sf(squares, 3), rel=0.2, abs=1e-5)
+        assert homogeneity(white, np.full((4, 1, 1), 0.25)) == approx(chi2.sf(squares, 3), rel=0.2, abs=1e-5)
 
 
 def test_one_parameter_that_differs_is_not_lost_among_many() -> None:
     """Of twenty parameters the first scatters by two of a run's deviations in five runs: Q alone misses more."""
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     beta, scatter = np.zeros(20), np.zeros(20)
     scatter[0] = 0.2
     q, both = 0, 0
@@ -106,21 +107,21 @@ def test_one_parameter_that_differs_is_not_lost_among_many() -> None:
 
 
 def test_random_effects_of_balanced_runs_are_the_analysis_of_variance() -> None:
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     own = 2.0 + 0.7 * rng.normal(size=9)
     information = np.full((9, 1, 1), 25.0)
     beta = own.mean()
     effects = random_effects(25.0 * (own - beta)[:, None], information)
     between = np.sqrt(own.var(ddof=1) - 1.0 / 25.0)
-    assert effects.mean[0] == pytest.approx(0.0, abs=1e-9)
-    assert effects.scatter[0] == pytest.approx(between, rel=0.02)
+    assert effects.mean[0] == approx(0.0, abs=1e-9)
+    assert effects.scatter[0] == approx(between, rel=0.02)
     shrunk = between**2 / (between**2 + 1.0 / 25.0)
-    assert effects.by_run[:, 0] == pytest.approx(shrunk * (own - beta), rel=0.02, abs=1e-9)
+    assert effects.by_run[:, 0] == approx(shrunk * (own - beta), rel=0.02, abs=1e-9)
 
 
 def test_what_one_run_alone_knows_has_no_second_witness() -> None:
     """Its interval stays that of the noise, whatever runs disagree about besides."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     designs, readings = regression(rng, [40, 40, 40], np.array([2.0, 0.0]), np.array([1.0, 1.0]))
     for k in (1, 2):
         readings[k] -= designs[k][:, 1]
@@ -135,7 +136,7 @@ def test_what_one_run_alone_knows_has_no_second_witness() -> None:
 
 
 def test_one_run_cannot_tell_and_parameters_that_are_given_stay_out() -> None:
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     designs, readings = regression(rng, [40, 30, 20], np.array([2.0, 2.0]), np.array([1.0, 1.0]))
     scores, beta, covariance = scored(designs, readings)
     one = RunScores(scores.runs[:1], scores.scores[:1])
@@ -145,10 +146,10 @@ def test_one_run_cannot_tell_and_parameters_that_are_given_stay_out() -> None:
     assert found.disagree and wide[1, 1] == 0.0 and not found.seen[1]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def changing() -> tuple[Leg, list[Dataset]]:
     """A leg whose knee is stiffer with grease in one run of three; the middle run has a gap."""
-    rng = np.random.default_rng(610)
+    rng = default_rng(610)
     runs = [record(replace(Leg(), coulomb=(0.03, level)), rng, seconds=8.0, name=f"run{k}.csv")
             for k, level in enumerate((0.05, 0.05, 0.08))]
     torn = runs[1]["tau2_nm"].copy()
@@ -165,13 +166,13 @@ def test_a_leg_whose_friction_changes_is_found_out_and_another_is_not(changing: 
     leg, runs = changing
     found = fitted(runs).agreement
     assert found.disagree and found.runs == ("run0.csv", "run1.csv", "run2.csv")
-    assert found.seen[8] and found.by_run[:, 8] == pytest.approx([0.05, 0.05, 0.08], abs=0.004)
+    assert found.seen[8] and found.by_run[:, 8] == approx([0.05, 0.05, 0.08], abs=0.004)
     assert not found.seen[:5].any()
-    rng = np.random.default_rng(611)
+    rng = default_rng(611)
     same = fitted([record(leg, rng, seconds=8.0, name=f"run{k}.csv") for k in range(3)])
     assert not same.agreement.disagree
     assert same.agreement.p_value is not None and same.agreement.p_value > ALPHA
-    assert same.ci95() == pytest.approx(same.beta[:, None] + 1.959964 * np.outer(same.std, [-1.0, 1.0]))
+    assert same.ci95() == approx(same.beta[:, None] + 1.959964 * np.outer(same.std, [-1.0, 1.0]))
 
 
 def test_intervals_of_a_fit_widen_and_hold_the_mean(changing: tuple[Leg, list[Dataset]]) -> None:
@@ -186,7 +187,7 @@ def test_intervals_of_a_fit_widen_and_hold_the_mean(changing: tuple[Leg, list[Da
 
 def test_a_skew_between_clocks_is_no_disagreement() -> None:
     """The IMU is late alike in all runs, within what the clocks may be off: the runs agree about that, too."""
-    rng = np.random.default_rng(612)
+    rng = default_rng(612)
     runs = []
     for k in range(3):
         run = record(Leg(), rng, seconds=8.0, name=f"run{k}.csv")
@@ -200,7 +201,7 @@ def test_a_skew_between_clocks_is_no_disagreement() -> None:
 
 def test_clusters_of_scores_give_the_variance_of_their_sum_and_none_to_what_they_do_not_show() -> None:
     """Least squares with 40 clusters of equal errors within each: the variance is that of 40 errors, not of 400."""
-    rng, known = np.random.default_rng(4), []
+    rng, known = default_rng(4), []
     for _ in range(300):
         x = np.repeat(rng.normal(size=(40, 1)), 10, axis=1)
         error = np.repeat(rng.normal(size=(40, 1)), 10, axis=1)

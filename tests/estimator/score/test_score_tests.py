@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import FixtureRequest, approx, fixture, mark
 
 from estimator import FitOptions
 from estimator.diagnosis.data_split import RunSplit, split_runs
@@ -25,14 +25,14 @@ def fitted(sensors: str) -> tuple[RunSplit, Model]:
     return split, nominal_model(split)
 
 
-@pytest.fixture(scope="module", params=["imu", "encoder"])
-def nominal(request: pytest.FixtureRequest) -> tuple[RunSplit, Model]:
+@fixture(scope="module", params=["imu", "encoder"])
+def nominal(request: FixtureRequest) -> tuple[RunSplit, Model]:
     return fitted(request.param)
 
 
-@pytest.mark.parametrize("name", ["", "joint_stiffness", "joint_elasticity", "torque_saturation",
+@mark.parametrize("name", ["", "joint_stiffness", "joint_elasticity", "torque_saturation",
                                   "presliding_friction"])
-@pytest.mark.parametrize("shared", [False, True])
+@mark.parametrize("shared", [False, True])
 def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, Model], name: str,
                                                        shared: bool) -> None:
     split, model = nominal
@@ -54,10 +54,10 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)
 
 
-@pytest.mark.parametrize("tests, sigmas", [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
+@mark.parametrize("tests, sigmas", [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
 def test_more_tests_ask_for_more_standard_deviations(tests: int, sigmas: float) -> None:
     """Quantiles of the normal distribution at 1 % and at 0.1 % are 2.58 and 3.29."""
-    assert least_sigmas(tests) == pytest.approx(sigmas, abs=0.01)
+    assert least_sigmas(tests) == approx(sigmas, abs=0.01)
 
 
 def test_what_columns_explain_together_is_a_squared_multiple_correlation() -> None:
@@ -68,8 +68,8 @@ def test_what_columns_explain_together_is_a_squared_multiple_correlation() -> No
     columns = np.column_stack([y, x])
     tests = replace(NO_TESTS, information=columns.T @ columns, before=np.sum(columns**2, axis=0))
     left = y - x @ np.linalg.lstsq(x, y)[0]
-    assert tests.explained(0, np.array([1, 2, 3])) == pytest.approx(1.0 - float(left @ left) / float(y @ y))
+    assert tests.explained(0, np.array([1, 2, 3])) == approx(1.0 - float(left @ left) / float(y @ y))
     one = float(x[:, 0] @ y) ** 2 / float(x[:, 0] @ x[:, 0]) / float(y @ y)
-    assert tests.explained(0, np.array([1])) == pytest.approx(one) and one < 0.7
+    assert tests.explained(0, np.array([1])) == approx(one) and one < 0.7
     hidden = replace(tests, information=np.zeros((4, 4)))
     assert hidden.explained(0, np.array([1, 2])) == 0.0

@@ -2,8 +2,9 @@
 
 import mujoco
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 from estimator import FitError, FitOptions
 from estimator.model import ImuPlace, biped3, chain, leg2
@@ -25,11 +26,11 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@mark.parametrize("name", CASES)
 def test_readings_are_those_of_mujoco(name: str) -> None:
     """To rounding, accelerations by the equation of motion with the plant's own parameters."""
     parent, mechanism, sensors = CASES[name]
-    upright, rng = name == "walker", np.random.default_rng(1)
+    upright, rng = name == "walker", default_rng(1)
     friction = {} if not upright else {"viscous": 0.0, "coulomb": 0.0}
     tree = random_tree(rng, parent, upright=upright, **friction)
     mechanism = mechanism.with_imus(tuple(ImuPlace(*s) for s in sensors), tuple(tree.length))
@@ -43,11 +44,11 @@ def test_readings_are_those_of_mujoco(name: str) -> None:
     assert np.abs(motion.imu[:, :, 1:]).max() > 9.0 and mujoco.__version__
 
 
-@pytest.mark.parametrize("name", CASES)
+@mark.parametrize("name", CASES)
 def test_slopes_are_the_readings_own(name: str) -> None:
     _, mechanism, sensors = CASES[name]
     mechanism = mechanism.with_imus(tuple(ImuPlace(*s) for s in sensors), (0.3, 0.4, 0.2, 0.1))
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     motion, h = rng.normal(size=(3, mechanism.n, 5)), 1e-6
     for place in mechanism.imus:
         felt, *slopes = accelerometer_slopes(mechanism, place, *motion)
@@ -66,12 +67,12 @@ def test_slopes_are_the_readings_own(name: str) -> None:
                 assert_allclose(slope[:, j], numeric, atol=1e-7)
 
 
-@pytest.mark.parametrize("links, sensors, encoders", [
+@mark.parametrize("links, sensors, encoders", [
     (2, [Sensor(1, 0.1)], (1,)), (2, [Sensor(0, 0.2), Sensor(1, 0.1)], ()), (3, [Sensor(2, 0.1)], (1, 2)),
     (7, [Sensor(0, 0.1), Sensor(3, 0.1), Sensor(6, 0.1)], (1, 2, 4, 5)), (7, [Sensor(k, 0.1) for k in range(7)], ())])
 def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoders: tuple[int, ...]) -> None:
     """A gyro with a bias, and links that accelerate by several g."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     tree = random_tree(rng, range(-1, links - 1))
     mechanism = (leg2() if links == 2 else chain(links)).with_imus(
         tuple(ImuPlace(*s) for s in sensors), tuple(tree.length))
@@ -87,19 +88,19 @@ def test_a_fit_starts_near_the_motion(links: int, sensors: list[Sensor], encoder
 
 def test_joints_that_nothing_shows_are_named() -> None:
     three = chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.1)), (0.3, 0.3))
-    with pytest.raises(FitError, match="angles of joints 1 and 2 apart: with 1 encoder and 2 IMUs 1 of 3 angles"):
+    with raises(FitError, match="angles of joints 1 and 2 apart: with 1 encoder and 2 IMUs 1 of 3 angles"):
         sight(three, (2,), True)
-    with pytest.raises(FitError, match="angle of joint 1: with 2 encoders and 0 IMUs"):
+    with raises(FitError, match="angle of joint 1: with 2 encoders and 0 IMUs"):
         sight(three, (1, 2), False)
     shown = sight(three, (1,), True)
     assert shown.encoders == (1,) and shown.imus == (1, 0)
 
 
 def test_an_imu_needs_the_lengths_it_rides_on() -> None:
-    with pytest.raises(ValueError, match="IMU 2 on link 3 rides on link 2, whose length is not given"):
+    with raises(ValueError, match="IMU 2 on link 3 rides on link 2, whose length is not given"):
         chain(3).with_imus((ImuPlace(0, 0.1), ImuPlace(2, 0.1)), (0.3,))
-    with pytest.raises(ValueError, match="IMU 1 is on link 3, leg2 has 2"):
+    with raises(ValueError, match="IMU 1 is on link 3, leg2 has 2"):
         leg2().with_imus((ImuPlace(2, 0.1),), (0.3, 0.3))
     assert biped3().with_imus((ImuPlace(2, 0.1),), (0.7,)).joints_to(2) == (0, 2)
-    with pytest.raises(ValueError, match="hips change places has no IMUs"):
+    with raises(ValueError, match="hips change places has no IMUs"):
         biped3(hips=True).with_imus((ImuPlace(2, 0.1),), (0.7,))

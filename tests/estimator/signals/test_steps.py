@@ -4,7 +4,9 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
+from pytest import MonkeyPatch, mark, raises
 
 from daq import Dataset
 from estimator import FitError, FitOptions
@@ -18,15 +20,15 @@ EXACT = Sensors(0.0, 0.0, 0.0)
 
 @cache
 def walked(seed: int = 5, steps: int = 8) -> Walk:
-    return walk(Plant(Walker()), Gait(), steps, np.random.default_rng(seed))
+    return walk(Plant(Walker()), Gait(), steps, default_rng(seed))
 
 
 def noisy(seed: int, stance: bool, found: Walk | None = None) -> Dataset:
-    return record("walk", found or walked(), np.random.default_rng(seed), stance=stance)
+    return record("walk", found or walked(), default_rng(seed), stance=stance)
 
 
 def test_each_step_is_a_segment_by_role() -> None:
-    exact = record("walk", walked(), np.random.default_rng(0), EXACT)
+    exact = record("walk", walked(), default_rng(0), EXACT)
     segments = split_signals([cut_steps(exact)[0]], biped3(hips=True), OPTIONS)
     true = roles(walked())
     assert len(segments) == len(true) == 8
@@ -34,14 +36,14 @@ def test_each_step_is_a_segment_by_role() -> None:
     for s, (angle, _, torque) in zip(segments, true):
         skipped = len(angle) - len(s.time_s)  # at most the first sample after a touchdown
         assert skipped in (0, 1)
-        np.testing.assert_array_equal(s.angles, angle[skipped:])
-        np.testing.assert_array_equal(s.torque, torque[skipped:])
+        assert_array_equal(s.angles, angle[skipped:])
+        assert_array_equal(s.torque, torque[skipped:])
 
 
-@pytest.mark.parametrize("rate_hz", [100.0, 200.0, 500.0])
+@mark.parametrize("rate_hz", [100.0, 200.0, 500.0])
 def test_touchdowns_are_found_to_two_milliseconds(rate_hz: float) -> None:
     for seed in range(3):
-        found = walk(Plant(Walker()), Gait(), 6, np.random.default_rng(seed), rate_hz, max(1, round(400 / rate_hz)))
+        found = walk(Plant(Walker()), Gait(), 6, default_rng(seed), rate_hz, max(1, round(400 / rate_hz)))
         shown = find_touchdowns(noisy(seed, False, found))
         late = shown.time_s - found.touchdown_s[:5]  # the record ends as the sixth foot lands
         assert np.abs(late).max() < 0.002 and (np.abs(late) < shown.open_s + 1e-4).all()
@@ -70,20 +72,20 @@ def test_neither_leg_is_a_gap_and_a_smeared_contact_too() -> None:
 
 def test_what_cannot_be_cut_is_said() -> None:
     data = noisy(3, True)
-    still = {name: values[0] + 1e-4 * np.random.default_rng(k).normal(size=len(data))
+    still = {name: values[0] + 1e-4 * default_rng(k).normal(size=len(data))
              for k, (name, values) in enumerate(data.columns.items()) if name != "stance"}
     for columns, said in (({**data.columns, "stance": data["stance"] + 1.0},
                            "walk: column stance holds other numbers than 0, 1 and 2"),
                           ({**data.columns, "stance": np.ones(len(data))}, "never changes from one leg to the other"),
                           (still, "no touchdown stands out")):
-        with pytest.raises(FitError, match=said):
+        with raises(FitError, match=said):
             cut_steps(replace(data, columns=columns))
-    with pytest.raises(FitError, match="too short"):
+    with raises(FitError, match="too short"):
         cut_steps(noisy(3, False).part(slice(0, 10)))
 
 
-def test_a_landing_that_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_landing_that_is_missing_is_said(monkeypatch: MonkeyPatch) -> None:
     """With a threshold that the weaker landings do not reach, one leg seems to land twice in a row."""
     monkeypatch.setattr("estimator.signals.steps.LEAST_SHARE", 0.9)
-    with pytest.raises(FitError, match=r"leg [12] seems to land at .* s and again at .* s, the other one not between"):
+    with raises(FitError, match=r"leg [12] seems to land at .* s and again at .* s, the other one not between"):
         cut_steps(noisy(4, False))
