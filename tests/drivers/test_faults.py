@@ -8,13 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import DriverError, ImuConfig, LegController, LinkLost, Lsm9ds1, State, Telemetry
+from drivers import DriverError, ImuConfig, LinkLost, Lsm9ds1, State, Telemetry
 from drivers.can_codec import CanCodec
-from drivers.mock import EmulatorLink, MockRig, VirtualClock
 from drivers.protocol import Decoder, encode
 from tests.support.counted_chip import CountedChip
-from tests.support.device_faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
-from tests.support.still_plant import StillPlant
+from tests.support.device_faults import KINDS, FaultyI2C, FaultyWire, WireFaults
+from tests.support.virtual_rig import VirtualRig
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
 
@@ -80,50 +79,33 @@ def test_each_fault_alone_shows_in_a_count_or_costs_nothing(kind: str) -> None:
 
 
 def test_a_stalled_device_says_everything_afterwards() -> None:
-    clock = VirtualClock()
-    rig = MockRig(StillPlant(), clock)
-    link = FaultyLink(EmulatorLink(rig.firmware, clock), clock)
-    controller = LegController(link, clock.now_ns)
-    controller.open()
-    link.stall(0.2)
-    silent_until, received = clock.now_ns() + 195_000_000, []
-    while clock.now_ns() < silent_until:
-        received += controller.poll()
-    assert received == []
-    for _ in range(20):
-        received += controller.poll()
-    seqs = [m.seq for m, *_ in received if isinstance(m, Telemetry)]
-    assert len(seqs) >= 100
-    assert set(np.diff(seqs)) == {1}
-    assert controller.stats.lost == 0
+    rig = VirtualRig()
+    rig.controller.open()
+    rig.link.stall(0.2)
+    assert rig.run(0.195) == []
+    seqs = [m.seq for m, *_ in rig.run(0.02) if isinstance(m, Telemetry)]
+    assert len(seqs) >= 100 and set(np.diff(seqs)) == {1} and rig.controller.stats.lost == 0
 
 
 def test_unplugged_and_plugged_in_again_the_drive_is_off_and_the_loss_is_counted() -> None:
-    clock = VirtualClock()
-    rig = MockRig(StillPlant(), clock)
-    link = FaultyLink(EmulatorLink(rig.firmware, clock), clock)
-    controller = LegController(link, clock.now_ns)
+    rig = VirtualRig()
+    controller, firmware = rig.controller, rig.firmware
     controller.open()
     controller.arm(100)
-    for _ in range(50):
-        controller.command(0.5)
-        controller.poll()
-    link.unplug()
-    with pytest.raises(LinkLost):
-        controller.command(0.5)
-    with pytest.raises(LinkLost):
-        controller.poll()
-    clock.sleep(0.3)
-    rig.advance_to(clock.now_ns())
-    assert rig.firmware.drive.state == State.FAULT
-    link.replug()
-    hello = controller.open()  # stops first
-    assert hello.boot_id == rig.firmware.boot_id
+    rig.run(0.1, 0.5)
+    rig.link.unplug()
+    for use in (lambda: controller.command(0.5), controller.poll):
+        with pytest.raises(LinkLost):
+            use()
+    rig.clock.sleep(0.3)
+    rig.mock.advance_to(rig.clock.now_ns())
+    assert firmware.drive.state == State.FAULT
+    rig.link.replug()
+    assert controller.open().boot_id == firmware.boot_id  # stops first
     controller.poll()
-    assert controller.telemetry.torque_cmd_nm == 0.0
-    assert controller.stats.lost > 100
-    t_ns, _, acting = rig.firmware.record
-    assert acting[t_ns > clock.now_ns() - 150_000_000].max() < 1e-9
+    assert controller.telemetry.torque_cmd_nm == 0.0 and controller.stats.lost > 100
+    t_ns, _, acting = firmware.record
+    assert acting[t_ns > rig.clock.now_ns() - 150_000_000].max() < 1e-9
 
 
 class Numbered(CountedChip):

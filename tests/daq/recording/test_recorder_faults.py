@@ -13,18 +13,17 @@ import numpy as np
 import pytest
 
 from daq import WorkError, parse_rig
-from daq.recording import Plan, record_run
+from daq.recording import Plan
 from daq.runs import mcap_run, read_run
-from drivers import ImuConfig, LegController, Lsm9ds1, State, Telemetry
-from drivers.can_codec import CanCodec
-from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
-from drivers.protocol import Decoder
-from tests.support.device_faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
+from drivers import ImuConfig, State, Telemetry
+from drivers.mock import FirmwareSettings, ImuSettings, MockRig
+from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 from tests.support.recordings import threaded
 from tests.support.runs import load_run
 from tests.support.still_plant import MovingPlant
+from tests.support.virtual_rig import VirtualRig
 
 pytestmark = REAL_CLOCK
 
@@ -43,28 +42,21 @@ def swing(t: float) -> SimpleNamespace:
                            q1dd=-2 * math.sin(2 * t))
 
 
-class Bench:
-    """A swinging leg on the virtual clock, its link through the fault injector."""
+class Bench(VirtualRig):
+    """A swinging leg, its link through the fault injector."""
 
-    def __init__(self, wire: WireFaults = CLEAN, can: bool = False, **imu) -> None:
-        self.clock = VirtualClock()
+    def __init__(self, wire: WireFaults = CLEAN, can: bool = False) -> None:
         settings = FirmwareSettings(telemetry_hz=1000, current_noise_a=0.0, encoder_counts=10**7)
         quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0)
-        self.mock = MockRig(MovingPlant(swing), self.clock, quiet, settings, codec=CanCodec if can else Decoder)
+        super().__init__(MovingPlant(swing), quiet, settings, config=ImuConfig(952.0), can=can,
+                         wire=FaultyWire(wire, np.random.default_rng(3)))
         self.start_ns = self.clock.now_ns()
-        inner = EmulatorLink(self.mock.firmware, self.clock, nothing=() if can else b"")
-        self.link = FaultyLink(inner, self.clock, FaultyWire(wire, np.random.default_rng(3)))
-        self.controller = LegController(self.link, self.clock.now_ns, CanCodec() if can else None)
-        self.controller.open()
-        self.imu = Lsm9ds1(self.mock.imu, config=ImuConfig(952.0, **imu), now_ns=self.clock.now_ns,
-                           sleep=self.clock.sleep)
-        self.imu.open()
+        self.open()
 
     def record(self, path: Path, seconds: float, happens=lambda now_s: None) -> mcap_run.RawRun:
-        text = RIG + "[limits]\nstaleness_s = 0.4\n"
         t = np.arange(0, seconds, 0.01)
-        record_run(path, parse_rig(text), text, Plan(t, np.zeros(t.size)), self.imu, self.controller, self.clock.now_ns,
-                   threaded=False, progress=lambda now, total: happens(now))
+        self.save(path, RIG + "[limits]\nstaleness_s = 0.4\n", Plan(t, np.zeros(t.size)),
+                  progress=lambda now, total: happens(now))
         return read_run(path)
 
 

@@ -9,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from daq import Dataset, InputError, parse_rig
-from daq.recording import Plan, record_run
+from daq.recording import Plan
 from daq.runs import RawTable, RunWriter, read_run
 from daq.timing import TimedColumns, align_channels, align_table, decode, recorded_rig
 from daq.timing.resample import snapped_times
-from drivers import LegController, Lsm9ds1
-from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from drivers.mock import FirmwareSettings, ImuSettings, MockRig
 from tests.support.runs import load_run
 from tests.support.still_plant import MovingPlant
+from tests.support.virtual_rig import VirtualRig
 
 
 def table(time_s: np.ndarray, **columns: np.ndarray) -> RawTable:
@@ -163,24 +163,17 @@ accel_bias_mps2 = [0.1, 0.2, -0.1]
 @pytest.fixture(scope="module")
 def recorded(module_path: Path) -> tuple[Path, MockRig, int]:
     path = module_path / "r.mcap"
-    clock = VirtualClock()
-    start_ns = clock.now_ns()
-    rig = MockRig(MovingPlant(swing), clock, ImuSettings(mount=MOUNT, gyro_bias_radps=(0.01, -0.02, 0.03),
-                                              accel_bias_mps2=(0.1, 0.2, -0.1), rate_error=-0.02),
-                  FirmwareSettings(knee_zero_rad=0.3, shunt_offset_a=0.05, torque_constant_nm_per_a=0.8,
-                                   first_tick_us=2**32 - 3_000_000), seed=3)
-    controller = LegController(EmulatorLink(rig.firmware, clock), clock.now_ns)
-    controller.open()
-    imu = Lsm9ds1(rig.imu, now_ns=clock.now_ns, sleep=clock.sleep)
-    imu.open()
+    rig = VirtualRig(MovingPlant(swing), ImuSettings(mount=MOUNT, gyro_bias_radps=(0.01, -0.02, 0.03),
+                                                     accel_bias_mps2=(0.1, 0.2, -0.1), rate_error=-0.02),
+                     FirmwareSettings(knee_zero_rad=0.3, shunt_offset_a=0.05, torque_constant_nm_per_a=0.8,
+                                      first_tick_us=2**32 - 3_000_000), seed=3)
+    start_ns = rig.clock.now_ns()
     t = np.arange(0, 6, 0.01)
-    plan = Plan(t, 0.5 * np.sin(2 * np.pi * t))
-    record_run(path, parse_rig(RIG), RIG, plan, imu, controller, clock.now_ns, threaded=False)
-    return path, rig, start_ns
+    rig.open().save(path, RIG, Plan(t, 0.5 * np.sin(2 * np.pi * t)))
+    return path, rig.mock, start_ns
 
 
 def truth(run: Dataset, path: Path, start_ns: int) -> np.ndarray:
-    from daq.runs.mcap_run import read_run
     epoch = int(read_run(path).streams["/leg/telemetry"]["host_ns"][0])
     return run.time_s + (epoch - start_ns) * 1e-9
 
@@ -222,7 +215,6 @@ def test_the_torque_is_what_acted(recorded: tuple[Path, MockRig, int]) -> None:
 
 
 def test_the_run_file_alone_is_enough_for_a_refit(recorded: tuple[Path, MockRig, int]) -> None:
-    from daq.runs.mcap_run import read_run
     path, _, _ = recorded
     raw = read_run(path)
     assert recorded_rig(raw) == parse_rig(RIG)

@@ -9,28 +9,21 @@ import pytest
 from numpy.typing import NDArray
 
 from daq import InputError, WorkError, parse_rig
-from daq.recording import record_run
 from daq.runs import read_run
 from daq.runs.streams import IMU_STREAM
 from daq.timing import configured, decode
 from daq.timing.align import align
 from daq.timing.flags import _repeated, _unmarked, flag_run
-from drivers import LegController, Lsm9ds1
-from drivers.mock import EmulatorLink, ImuSettings, MockRig, VirtualClock
+from drivers.mock import ImuSettings
 from tests.support.recordings import RIG, sine
-from tests.support.still_plant import StillPlant
+from tests.support.virtual_rig import VirtualRig
 
 
 def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float = 0.0, burst: int = 0) -> str:
     """A run whose chip is fast by `rate`, and of whose samples somebody else takes a share once it is driven, or one
     burst."""
-    clock = VirtualClock()
-    mock = MockRig(StillPlant(), clock, ImuSettings(rate_error=rate, gravity_mps2=gravity), seed=2)
-    controller = LegController(EmulatorLink(mock.firmware, clock), clock.now_ns)
-    controller.open()
-    imu = Lsm9ds1(mock.imu, now_ns=clock.now_ns, sleep=clock.sleep)
-    imu.open()
-    push, rng, left = mock.imu.push, np.random.default_rng(0), [burst]
+    rig = VirtualRig(imu=ImuSettings(rate_error=rate, gravity_mps2=gravity), seed=2).open()
+    push, rng, left = rig.mock.imu.push, np.random.default_rng(0), [burst]
 
     def taken() -> bool:
         left[0] -= 1
@@ -38,9 +31,9 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
 
     def steal(now_s: float, total_s: float) -> None:
         if now_s > 1.2:
-            mock.imu.push = lambda raw: None if taken() else push(raw)
+            rig.mock.imu.push = lambda raw: None if taken() else push(raw)
 
-    record_run(path, parse_rig(RIG), RIG, sine(2.5), imu, controller, clock.now_ns, threaded=False, progress=steal)
+    rig.save(path, RIG, sine(2.5), progress=steal)
     return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).flags))
 
 
