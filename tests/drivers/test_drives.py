@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import DeviceAbsent, DriverError, FaultReport, LinkLost, State, attach, drive_kinds, open_drive
+from drivers import DeviceAbsent, DriverError, FaultReport, Hello, LinkLost, State, drive_kinds, open_drive
+from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
 from drivers.protocol import Fault
@@ -69,10 +70,8 @@ def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
 def test_a_motor_that_turns_is_stopped_on_opening(kind: str) -> None:
     bench = driven(kind)
     assert bench.far.torque_nm != 0.0
-    again = attach(kind, bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
-    again.open()
-    bench.clock.advance(2_000_000)
-    bench.far.transmit(bench.clock.now_ns())
+    bench.attached().open()
+    bench.alone(0.002)
     assert bench.far.torque_nm == 0.0
 
 
@@ -84,8 +83,7 @@ def test_nothing_turns_after(kind: str, way: str) -> None:
         bench.drive.command(1.0)  # from another thread, too late
         bench.run(0.03)
         assert not bench.drive.armed
-    bench.clock.advance(3_000_000)
-    bench.far.transmit(bench.clock.now_ns())
+    bench.alone(0.003)
     assert bench.far.torque_nm == 0.0
 
 
@@ -124,7 +122,7 @@ def test_a_watchdogs_fault_of_a_run_before_is_still_there_on_opening(kind: str) 
     bench.armed()
     bench.run(0.05, 1.0)
     bench.run(0.3)
-    again = attach(kind, bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
+    again = bench.attached()
     again.open()
     with pytest.raises(DeviceFault, match="watchdog"):
         again.arm(100)
@@ -159,10 +157,10 @@ def test_what_comes_too_late_is_no_answer_to_a_later_request(any_kind: str) -> N
 
     def slow() -> Any:
         data = true()
-        if data and len(held) < 1:
-            held.append(data)
-            return data[:0]
-        return data
+        if not data or held:
+            return data
+        held.append(data)
+        return data[:0]
 
     bench.link.read = slow
     lost = bench.drive.stats.lost
@@ -177,10 +175,8 @@ def test_nobody_there_and_a_wrong_node_name_what_to_look_at(any_kind: str) -> No
     bench.far.powered = False
     with pytest.raises(DeviceAbsent, match=r"no answer within 0.5 s; .*node"):
         bench.drive.open(0.5)
-    bench = DriveBench(any_kind)
-    wrong = attach(any_kind, bench.link, DriveBench(any_kind, node=9).wiring, bench.clock.now_ns, bench.clock.sleep)
     with pytest.raises(DeviceAbsent, match="node"):
-        wrong.open(0.5)
+        DriveBench(any_kind).attached(node=9).open(0.5)
 
 
 def test_a_drive_that_hangs_gives_no_telemetry(any_kind: str) -> None:
@@ -188,6 +184,29 @@ def test_a_drive_that_hangs_gives_no_telemetry(any_kind: str) -> None:
     bench.far.alive = False
     bench.run(0.05)
     assert not telemetry(bench.run(0.2)) and bench.drive.stats.lost > 3
+
+
+@pytest.mark.parametrize("kind, hang, least", [("dynamixel", "stuck", 5), ("moteus", "stuck_counter_ms", 50)])
+def test_readings_that_stand_still_are_no_telemetry(kind: str, hang: str, least: int) -> None:
+    """Its communication lives, its registers stand still: the tick or the counter shows it."""
+    bench = opened(kind)
+    assert telemetry(bench.run(0.1))
+    setattr(bench.far, hang, 1)
+    bench.run(0.02)
+    assert not telemetry(bench.run(0.2)) and bench.drive.stats.bad_crc > least and bench.drive.stats.lost == 0
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "moteus"])
+def test_a_restart_on_the_way_is_told_and_the_torque_stays_off(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.clock.advance(20_000_000_000)  # moteus shows it by a counter that starts anew
+    bench.armed(1000)
+    bench.run(0.2, 1.0)
+    before = bench.drive.hello
+    bench.far.power_cycle()
+    (hello,) = [one.message for one in bench.run(0.1, 1.0) if isinstance(one.message, Hello)]
+    assert hello.boot_id != before.boot_id and bench.drive.stats.reboots == 1
+    assert bench.far.torque_nm == 0.0 and not bench.drive.armed
 
 
 def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
@@ -198,8 +217,7 @@ def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
     bench.link.unplug()
     with pytest.raises(LinkLost):
         bench.run(0.1)
-    bench.clock.advance(300_000_000)
-    bench.far.transmit(bench.clock.now_ns())
+    bench.alone(0.3)
     assert bench.zero_after(pulled_ns) < 0.11
     bench.drive.close()
 
@@ -223,10 +241,7 @@ def test_its_own_faults_have_our_names(kind: str, break_it: Any, fault: Fault) -
 
 
 def test_noise_on_the_line_is_counted_and_survived(any_kind: str) -> None:
-    from drivers.can_frame import CanFrame
-
-    bench, rng = DriveBench(any_kind), np.random.default_rng(3)
-    bench.drive.open()
+    bench, rng = opened(any_kind), np.random.default_rng(3)
     true = bench.link.read
 
     def noisy() -> Any:

@@ -18,7 +18,7 @@ class DriveBench:
 
     def __init__(self, kind: str, plant: Plant | None = None, seed: int = 1, settings: FirmwareSettings | None = None,
                  **wiring: Any) -> None:
-        facts = drive_facts(kind)
+        self.kind, facts = kind, drive_facts(kind)
         self.wiring = replace(Wiring(node=facts.node, rate_hz=facts.rate_hz, gear_ratio=50.0, turns=-50.0,
                                      torque_constant_nm_per_a=CONSTANT), **wiring)
         self.clock = VirtualClock()
@@ -26,8 +26,8 @@ class DriveBench:
         self.rig = MockRig(plant or StillPlant(), self.clock, firmware=settings, seed=seed,
                            make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive
-        self.link = EmulatorLink(self.rig.drive, self.clock, seed=seed, nothing=getattr(self.rig.drive, "nothing", b""))
-        self.drive: Drive = attach(kind, self.link, self.wiring, self.clock.now_ns, self.clock.sleep)
+        self.link: Any = EmulatorLink(self.far, self.clock, seed=seed, nothing=self.far.nothing)
+        self.drive = self.attached()
 
     def run(self, seconds: float, torque_nm: float | None = None) -> list[Received]:
         """Poll for so long, a torque commanded every 10 ms where one is given."""
@@ -50,6 +50,15 @@ class DriveBench:
         while not self.drive.armed:
             self.run(0.01, 0.0)
             assert self.clock.now_ns() < end, f"did not arm: {self.drive.words}"
+
+    def attached(self, **wiring: Any) -> Drive:
+        """Another driver on the same link, its wiring changed so."""
+        return attach(self.kind, self.link, replace(self.wiring, **wiring), self.clock.now_ns, self.clock.sleep)
+
+    def alone(self, seconds: float) -> None:
+        """The drive goes on for so long while nobody polls."""
+        self.clock.sleep(seconds)
+        self.far.transmit(self.clock.now_ns())
 
     def zero_after(self, since_ns: int) -> float:
         """Time [s] from `since_ns` until the drive asked the motor for nothing for the rest of the record."""
