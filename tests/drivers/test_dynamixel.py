@@ -19,6 +19,7 @@ from drivers.mock import FirmwareSettings
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
 from tests.support.drive_bench import CONSTANT, DriveBench, driven, fed_in_pieces, models_heard, opened, telemetry
 from tests.support.recordings import RIG, sine
+from tests.support.spies import before
 from tests.support.still_plant import StillPlant, StillState
 
 PRINTED = [
@@ -108,19 +109,14 @@ def test_no_command_goes_out_between_a_request_and_its_answer() -> None:
     """On a line of half duplex they would collide."""
     bench = DriveBench("dynamixel")
     bench.armed(1000)
-    sent, answered = list[tuple[int, bytes]](), list[int]()
-    write, transmit = bench.link.write, bench.far.transmit
-
-    def spy(data: bytes) -> None:
-        sent.append((bench.clock.now_ns(), data))
-        write(data)
-
+    sent, answered, transmit = list[tuple[int, bytes]](), list[int](), bench.far.transmit
     def heard(until_ns: int) -> list[tuple[int, bytes]]:
         out = transmit(until_ns)
         answered.extend(t_ns for t_ns, _ in out)
         return out
 
-    bench.link.write, bench.far.transmit = spy, heard
+    bench.far.transmit = heard
+    before(bench.link, "write", lambda data: sent.append((bench.clock.now_ns(), data)))
     for k in range(200):
         bench.drive.command(0.001 * k)
         bench.drive.poll()

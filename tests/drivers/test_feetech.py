@@ -14,6 +14,7 @@ from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.protocol import Fault
 from tests.support.drive_bench import DriveBench, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.spies import recorded
 from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
@@ -109,21 +110,15 @@ def test_it_is_off_after(way: str) -> None:
 
 
 def test_no_byte_of_the_driver_turns_it_on() -> None:
-    bench, sent = DriveBench("feetech"), []
-    write = bench.link.write
-
-    def spy(data: bytes) -> None:
-        sent.append(data)
-        write(data)
-
-    bench.link.write = spy
+    bench = DriveBench("feetech")
+    sent = recorded(bench.link, "write")
     bench.drive.open()
     bench.run(0.1, 0.5)
     bench.drive.stop()
     bench.drive.clear_faults()
     bench.run(0.1, 0.5)
     bench.drive.close()
-    writes = [one.params for one in sts.Decoder().feed(b"".join(sent))
+    writes = [one.params for one in sts.Decoder().feed(b"".join(data for (data,) in sent))
               if one.code not in (Instruction.READ, Instruction.PING)]
     assert len(writes) >= 4 and set(writes) == {bytes([Address.TORQUE_ENABLE, 1, 1, 0])}
 
