@@ -19,7 +19,7 @@ pytestmark = REAL_CLOCK
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\nslow_hz = 10.0\nmagnetometer = 0x1E\n'
 
 
-def test_temperature_and_field_are_recorded_and_a_silent_magnetometer_stops_nothing(tmp_path: Path) -> None:
+def test_temperature_and_field_are_recorded_and_a_silent_magnetometer_stops_nothing(path: Path) -> None:
     rig = VirtualRig()
     chip = MockMagnetometer(rig.clock)
     rig.imu.bus = MockBus([rig.mock.imu, chip])
@@ -34,8 +34,8 @@ def test_temperature_and_field_are_recorded_and_a_silent_magnetometer_stops_noth
             chip.fail(121)
 
     t = np.arange(0.0, 3.0, 0.01)
-    rig.save(tmp_path / "r.mcap", RIG, Plan(t, 0 * t), progress=happens)
-    raw = read_run(tmp_path / "r.mcap")
+    rig.save(path, RIG, Plan(t, 0 * t), progress=happens)
+    raw = read_run(path)
     slow, imu = raw.streams["/imu/slow"], raw.streams["/imu"]
     assert 30 <= slow.size <= 45
     assert slow["temperature_degc"].max() == pytest.approx(34.0, abs=0.2)

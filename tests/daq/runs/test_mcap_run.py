@@ -32,9 +32,9 @@ def write(path: Path, count: int = 300) -> None:
     writer.close()
 
 
-def test_everything_comes_back(tmp_path: Path) -> None:
-    write(tmp_path / "r.mcap")
-    raw = read_run(tmp_path / "r.mcap")
+def test_everything_comes_back(path: Path) -> None:
+    write(path)
+    raw = read_run(path)
     assert raw.complete
     assert raw.messages == 602
     assert raw.files == {"rig.toml": "[mechanism]\n", "plan.csv": "time_s,tau2_cmd_nm\n"}
@@ -69,10 +69,10 @@ def test_no_field_needs_padding(stream) -> None:
     assert stream.dtype.itemsize == stream.packer.size == 4 + at
 
 
-def test_a_viewer_finds_index_schemas_and_texts(tmp_path: Path) -> None:
+def test_a_viewer_finds_index_schemas_and_texts(path: Path) -> None:
     """Through the library's own indexed reader, as Foxglove and PlotJuggler read."""
-    write(tmp_path / "r.mcap")
-    with open(tmp_path / "r.mcap", "rb") as file:
+    write(path)
+    with open(path, "rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
         assert summary.statistics.message_count == 602
@@ -117,17 +117,17 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
     assert 602 - FLUSH_MESSAGES <= raw.messages < 602
 
 
-def test_a_full_disk_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_said_in_one_line(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(number: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    writer = RunWriter(tmp_path / "r.mcap", {})
+    writer = RunWriter(path, {})
     monkeypatch.setattr(os, "fdatasync", full)
     writer.event(0, "start", "")
     with pytest.raises(WorkError, match=r"r\.mcap: cannot be written \(No space left on device\)"):
         writer.close()
     writer.close()
-    assert read_run(tmp_path / "r.mcap").events[0].kind == "start"
+    assert read_run(path).events[0].kind == "start"
 
 
 KILLED = """
@@ -143,8 +143,7 @@ while True:
 """
 
 
-def test_a_killed_writer_leaves_all_but_the_last_few(tmp_path: Path) -> None:
-    path = tmp_path / "r.mcap"
+def test_a_killed_writer_leaves_all_but_the_last_few(path: Path) -> None:
     writer = subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True,
                               cwd=ROOT)
     said = [int(writer.stdout.readline()) for _ in range(12)]

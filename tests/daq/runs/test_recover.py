@@ -78,10 +78,10 @@ def test_recovered_files_are_whole_at_a_sample_of_cuts(whole: bytes, tmp_path: P
         assert summary.statistics.message_count == report.messages
 
 
-def test_nothing_is_overwritten_and_nothing_made_of_nothing(whole: bytes, tmp_path: Path) -> None:
-    (tmp_path / "r.mcap").write_bytes(whole)
+def test_nothing_is_overwritten_and_nothing_made_of_nothing(whole: bytes, tmp_path: Path, path: Path) -> None:
+    (path).write_bytes(whole)
     with pytest.raises(InputError, match="exists already"):
-        recover(tmp_path / "r.mcap", tmp_path / "r.mcap")
+        recover(path, path)
     (tmp_path / "t.mcap").write_text("hello, world")
     with pytest.raises(InputError, match="not an MCAP file"):
         recover(tmp_path / "t.mcap", tmp_path / "out.mcap")

@@ -91,9 +91,9 @@ def test_repeated_samples_are_flagged_a_quiet_chip_is_not() -> None:
 
 
 @pytest.mark.parametrize("rate", ['"fast"', "1e308", "5e-324", "-238", "[238]"])
-def test_a_rate_that_no_chip_has_is_refused(rate: str, tmp_path: Path) -> None:
-    record(tmp_path / "r.mcap")
-    raw = read_run(tmp_path / "r.mcap")
+def test_a_rate_that_no_chip_has_is_refused(rate: str, path: Path) -> None:
+    record(path)
+    raw = read_run(path)
     notes = [note._replace(text=re.sub(r'"rate_hz":[^,}]*', f'"rate_hz":{rate}', note.text)) for note in raw.config]
     with pytest.raises(InputError, match=r"r\.mcap"):
         decode(dataclasses.replace(raw, config=notes), parse_rig(RIG))
@@ -106,9 +106,9 @@ def test_a_chip_at_another_rate_or_without_gravity_is_refused_before_the_motor_i
         record(tmp_path / "moon.mcap", gravity=1.62)
 
 
-def test_a_good_run_is_not_flagged_impossible_gravity_is(tmp_path: Path) -> None:
-    assert not record(tmp_path / "r.mcap")
-    raw = read_run(tmp_path / "r.mcap")
+def test_a_good_run_is_not_flagged_impossible_gravity_is(path: Path) -> None:
+    assert not record(path)
+    raw = read_run(path)
     facts = configured(raw, "imu")
     assert flag_run(raw, parse_rig(RIG), facts) == []
     facts["accel_mps2_per_lsb"] *= 0.5
