@@ -1,11 +1,22 @@
 """A run of legid's own kinds on the grid of a rig, without the floor that reads other programs' files."""
 
+import struct
 from pathlib import Path
 
 from daq import Dataset, Rig
 from daq.runs import read_csv, read_run
 from daq.timing import align_table
 from daq.timing.align import align
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """(opcode, start, end) of every record in an MCAP file, those inside chunks apart."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
 
 
 def load_run(path: Path, rig: Rig, rate_hz: float | None = None) -> Dataset:
