@@ -6,15 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq import InputError, WorkError, parse_rig
 from daq.runs import read_run
-from daq.runs.streams import IMU_STREAM
 from daq.timing import configured, decode
 from daq.timing.align import align
 from daq.timing.flags import _repeated, _unmarked, flag_run
 from drivers.mock import ImuSettings
+from tests.support.drained import drained
 from tests.support.recordings import RIG, sine
 from tests.support.virtual_rig import VirtualRig
 
@@ -37,9 +36,8 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
     return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).flags))
 
 
-def test_a_run_with_a_second_reader_is_flagged(tmp_path: Path) -> None:
-    found = record(tmp_path / "shared.mcap", share=0.1)
-    assert "another program may have read it" in found
+def test_a_run_with_a_second_reader_is_flagged(path: Path) -> None:
+    assert "another program may have read it" in record(path, share=0.1)
 
 
 def test_a_run_without_one_burst_is_flagged(tmp_path: Path) -> None:
@@ -54,28 +52,14 @@ def test_drains_contradict_each_other_only_where_samples_are_missing(rate: float
     nominal = min((119.0, 238.0, 952.0), key=lambda hz: abs(hz - rate))
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        samples = drains(rng, 4.0, rate, every_s)
+        m = int(6.0 * rate)
+        samples = drained(rng, np.sort((np.arange(m) + 0.02 * rng.standard_normal(m)) / rate), every_s, 4.0)
         assert not _unmarked(samples, nominal)
         begins = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1
         at = begins[int(rng.uniform(0.1, 0.9) * begins.size)]
         less = np.concatenate((samples[:at], samples[at + 3:]))
         less["index"][at:] -= 3
         assert "another program may have read it" in _unmarked(less, nominal)[0].text
-
-
-def drains(rng: np.random.Generator, seconds: float, rate_hz: float, every_s: float) -> NDArray[np.void]:
-    """Samples of a chip whose period jitters by 2 %, drained one look after the other."""
-    n, m = int(seconds / every_s), int(1.5 * seconds * rate_hz)
-    taken = np.sort((np.arange(m) + 0.02 * rng.standard_normal(m)) / rate_hz)
-    took = np.where(rng.random(n) < 0.01, 3e-3, 90e-6)
-    pause = rng.uniform(0.8, 1.2, n) * every_s + np.where(rng.random(n) < 0.01, rng.uniform(0, 0.03, n), 0.0)
-    look = np.cumsum(pause) + np.append(0.0, np.cumsum(took)[:-1])
-    newest = np.searchsorted(taken, look + rng.uniform(0, 1, n) * took, side="right") - 1
-    drain = np.searchsorted(newest, np.arange(newest[-1] + 1))
-    out = np.zeros(drain.size, IMU_STREAM.dtype)
-    out["index"] = np.arange(drain.size)
-    out["drain_before_ns"], out["drain_after_ns"] = (np.rint(t[drain] * 1e9) for t in (look, look + took))
-    return out
 
 
 def test_repeated_samples_are_flagged_a_quiet_chip_is_not() -> None:
