@@ -3,9 +3,11 @@
 import ast
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from importlib import invalidate_caches
 from importlib.util import find_spec
@@ -87,15 +89,13 @@ def test_the_rig_s_defaults_are_those_that_its_page_shows() -> None:
 @pytest.mark.slow
 def test_the_how_to_s_effect_is_found_in_simulated_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page's class, installed as pip would leave it, and docs/own_effect.py."""
-    import runpy
-    import tempfile
-
     code = re.findall(r"```python\n(.*?)```", EFFECT_PAGE, re.DOTALL)[0]
-    (tmp_path / "my_effects.py").write_text(code)
-    info = tmp_path / "my_effects-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_effects\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[legid.effects]\nhose_pull = my_effects:HosePull\n")
+    (tmp_path / "my_effects-1.0.dist-info").mkdir()
+    for name, text in (("my_effects.py", code),
+                       ("my_effects-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: my_effects\nVersion: 1.0\n"),
+                       ("my_effects-1.0.dist-info/entry_points.txt",
+                        "[legid.effects]\nhose_pull = my_effects:HosePull\n")):
+        (tmp_path / name).write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     invalidate_caches()

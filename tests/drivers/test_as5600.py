@@ -1,6 +1,7 @@
 """The pivot sensor: its bytes against the data sheet and another driver, and what it says when something is wrong."""
 
 import math
+
 import pytest
 
 from drivers import As5600, DeviceAbsent

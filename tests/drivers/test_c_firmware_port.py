@@ -15,9 +15,8 @@ pytestmark = REAL_CLOCK
 
 @pytest.fixture
 def served() -> Iterator[Served]:
-    served = Served()
-    yield served
-    served.close()
+    with Served() as served:
+        yield served
 
 
 def test_the_driver_works_with_it_over_a_port(served: Served) -> None:

@@ -32,7 +32,7 @@ def test_on_virtual_time_nothing_is_lost() -> None:
     controller = rig.controller
     assert controller.open().boot_id == rig.firmware.boot_id
     controller.arm(50)
-    frames = [m for m, *_ in rig.run(2.0, 0.25) if isinstance(m, Telemetry)]
+    frames = [m for m, *_ in rig.poll_for(2.0, 0.25) if isinstance(m, Telemetry)]
     assert (np.diff([m.seq for m in frames]) == 1).all()
     assert len(frames) == pytest.approx(1000, abs=5)
     assert frames[-1].torque_cmd_nm == 0.25 and controller.armed
@@ -49,7 +49,7 @@ def test_a_reboot_is_noticed_by_the_heartbeat_though_its_hello_was_lost() -> Non
     rig.controller.open()
     rig.firmware.reboot()
     rig.firmware._outbox.clear()  # what it said at boot did not get through
-    rig.run(0.15)
+    rig.poll_for(0.15)
     assert rig.controller.hello.boot_id == rig.firmware.boot_id and rig.controller.stats.reboots == 1
 
 

@@ -80,7 +80,8 @@ def test_units_of_every_model(model: int, turns: float, monkeypatch: pytest.Monk
     bench.armed()
     bench.run(0.1, 0.6)
     unit = dxl.MODELS[model].current_a
-    assert struct.unpack_from("<h", bench.far.table, Address.GOAL_CURRENT)[0] == math.copysign(round(0.6 / CONSTANT / unit), turns)
+    (goal,) = struct.unpack_from("<h", bench.far.table, Address.GOAL_CURRENT)
+    assert goal == math.copysign(round(0.6 / CONSTANT / unit), turns)
     assert bench.rig.drive.motor.last_mean_nm == pytest.approx(0.6, abs=0.51 * unit * CONSTANT)
     seen = telemetry(bench.run(0.2, 0.6))
     assert np.mean([t.current_a for t in seen]) == pytest.approx(0.6 / CONSTANT, abs=0.01)

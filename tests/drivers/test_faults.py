@@ -82,8 +82,8 @@ def test_a_stalled_device_says_everything_afterwards() -> None:
     rig = VirtualRig()
     rig.controller.open()
     rig.link.stall(0.2)
-    assert rig.run(0.195) == []
-    seqs = [m.seq for m, *_ in rig.run(0.02) if isinstance(m, Telemetry)]
+    assert rig.poll_for(0.195) == []
+    seqs = [m.seq for m, *_ in rig.poll_for(0.02) if isinstance(m, Telemetry)]
     assert len(seqs) >= 100 and set(np.diff(seqs)) == {1} and rig.controller.stats.lost == 0
 
 
@@ -92,7 +92,7 @@ def test_unplugged_and_plugged_in_again_the_drive_is_off_and_the_loss_is_counted
     controller, firmware = rig.controller, rig.firmware
     controller.open()
     controller.arm(100)
-    rig.run(0.1, 0.5)
+    rig.poll_for(0.1, 0.5)
     rig.link.unplug()
     for use in (lambda: controller.command(0.5), controller.poll):
         with pytest.raises(LinkLost):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ def opened() -> Bench:
 def driven(opened: Bench) -> Bench:
     """Armed and pushing."""
     opened.controller.arm(100)
-    opened.run(0.1, 0.5)
+    opened.poll_for(0.1, 0.5)
     assert opened.firmware.drive.state == State.ARMED
     assert opened.firmware.record[2][-1] == pytest.approx(0.5, abs=1e-3)
     return opened
@@ -106,7 +107,7 @@ def test_another_version_is_refused_and_stops() -> None:
 
 
 def test_another_version_during_a_run_is_refused(opened: Bench) -> None:
-    hello = opened.controller.hello
+    hello: Any = opened.controller.hello
     opened.link.read = lambda: encode(replace(hello, version=2))
     with pytest.raises(ProtocolMismatch, match="version 2, this program version 1"):
         opened.controller.poll()
@@ -114,7 +115,7 @@ def test_another_version_during_a_run_is_refused(opened: Bench) -> None:
 
 
 def test_telemetry_arrives_whole_and_stamped(opened: Bench) -> None:
-    frames = [r for r in opened.run(1.0) if isinstance(r.message, Telemetry)]
+    frames = [r for r in opened.poll_for(1.0) if isinstance(r.message, Telemetry)]
     assert len(frames) == pytest.approx(500, abs=3)
     ticks = np.array([r.message.tick_us for r in frames])
     assert (np.diff(ticks) == 2000).all()
@@ -129,7 +130,7 @@ def test_ping_brackets_the_ticks() -> None:
     bench.controller.open()
     for _ in range(20):
         ping_id, tx_ns = bench.controller.ping()
-        pongs = [r for r in bench.run(0.01) if isinstance(r.message, Pong)]
+        pongs = [r for r in bench.poll_for(0.01) if isinstance(r.message, Pong)]
         assert [r.message.ping_id for r in pongs] == [ping_id]
         pong, rx_ns, _ = pongs[0]
         assert tx_ns < start + pong.rx_tick_us * 1000 + 1000 < start + pong.tx_tick_us * 1000 + 2000 < rx_ns + 2000
@@ -157,20 +158,20 @@ def test_every_way_out_stops_the_motor(driven: Bench, leave: Callable[[Bench], N
 def test_commands_that_lay_in_a_buffer_move_nothing(driven: Bench) -> None:
     """A hub that holds everything back for 5 s, then hands it over at once, in order."""
     held: list[bytes] = []
-    write, driven.link.write = driven.link.write, held.append
-    driven.run(0.03, 1.0)
+    write, driven.link.write = driven.link.write, held.append  # type: ignore[assignment]
+    driven.poll_for(0.03, 1.0)
     driven.clock.sleep(5.0)
     driven.mock.advance_to(driven.clock.now_ns())
     drive = driven.firmware.drive
     assert drive.latched == Fault.WATCHDOG
     driven.link.write = write
     driven.controller.clear_faults()
-    driven.run(0.01)
+    driven.poll_for(0.01)
     driven.controller.arm(100)  # before what was held back comes
     for data in held:
         driven.link.write(data)
     driven.controller.telemetry = None
-    driven.run(0.05)
+    driven.poll_for(0.05)
     assert len(held) > 10 and drive.late >= len(held)
     assert driven.controller.armed and drive.torque_nm == 0.0
 
@@ -188,13 +189,13 @@ def test_firmware_that_does_not_know_timed_commands_gets_plain_ones() -> None:
 
 
 def test_arming_over_a_latched_fault_is_refused_by_name(driven: Bench) -> None:
-    driven.run(0.2)  # nobody feeds the watchdog
+    driven.poll_for(0.2)  # nobody feeds the watchdog
     with pytest.raises(DeviceFault, match=r"watchdog; .*; then legid doctor --clear-faults"):
         driven.controller.arm(100)
     driven.controller.clear_faults()
-    driven.run(0.05)
+    driven.poll_for(0.05)
     driven.controller.arm(100)
-    driven.run(0.05, 0.1)
+    driven.poll_for(0.05, 0.1)
     assert driven.controller.armed
 
 
@@ -207,7 +208,7 @@ def test_watchdog_time_outside_the_protocol_is_refused(opened: Bench, watchdog_m
 def test_a_reboot_is_seen(driven: Bench) -> None:
     boot_id = driven.controller.hello.boot_id
     driven.firmware.reboot()
-    driven.run(0.1)
+    driven.poll_for(0.1)
     assert driven.controller.hello.boot_id != boot_id and driven.controller.stats.reboots == 1
     assert not driven.controller.armed
 

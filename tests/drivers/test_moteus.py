@@ -133,7 +133,7 @@ def test_our_driver_builds_what_the_vendors_library_builds() -> None:
     theirs = servo.make_position(position=math.nan, velocity=0.0, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0,
                                  feedforward_torque=-0.02, maximum_torque=0.042, watchdog_timeout=0.1)
     bench, sent = opened("moteus"), list[CanFrame]()
-    bench.link.write = sent.extend
+    bench.link.write = sent.extend  # type: ignore[assignment]
     bench.drive.arm(100)
     sent.clear()
     bench.drive.command(1.0)

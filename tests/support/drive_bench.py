@@ -26,7 +26,7 @@ class DriveBench:
         self.rig = MockRig(plant or StillPlant(), self.clock, firmware=settings, seed=seed,
                            make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive
-        self.link: Any = EmulatorLink(self.far, self.clock, seed=seed, nothing=self.far.nothing)
+        self.link = EmulatorLink(self.far, self.clock, seed=seed, nothing=getattr(self.far, "nothing", b""))
         self.drive = self.attached()
 
     def run(self, seconds: float, torque_nm: float | None = None) -> list[Received]:

@@ -17,8 +17,8 @@ def pendulum(time_s: np.ndarray, torque: Callable[[float], float], q0: float, qd
         q, v = state
         return v, torque(t) - stiffness * np.sin(q) - friction[0] * v - friction[1] * np.tanh(v / 0.02)
 
-    angle: np.ndarray = solve_ivp(rate, time_s[[0, -1]], [q0, qd0], t_eval=time_s, max_step=MOST_STEP_S, rtol=1e-6).y[0]
-    return angle
+    found = solve_ivp(rate, (time_s[0], time_s[-1]), [q0, qd0], t_eval=time_s, max_step=MOST_STEP_S, rtol=1e-6)
+    return np.asarray(found.y[0])
 
 
 def swing_to_rest(time_s: np.ndarray, rng: np.random.Generator) -> Columns:

@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import pytest
 
 from daq.recording.workers import REAL_TIME_PRIORITY
+from drivers import Closing
 from tests.support.c_firmware import SOURCES
 
 CC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
@@ -62,13 +62,13 @@ def symbols() -> dict[str, int]:
 
 
 @contextmanager
-def ahead_of_everything() -> Iterator[None]:
-    """What is started meanwhile has a processor whenever it wants one, as a board has; skips where that is refused."""
+def ahead(priority: int, policy: int = os.SCHED_RR) -> Iterator[None]:
+    """This process has a processor whenever it wants one; skips where that is refused."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(4 * REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError:
-        pytest.skip("no right to real-time priority here: the board's own watchdog would bite")
+        pytest.skip("no right to real-time priority here: a line would be late, and the board's own watchdog bite")
     try:
         yield
     finally:
@@ -86,7 +86,7 @@ class Trace(NamedTuple):
     """The first that did."""
 
 
-class Board:
+class Board(Closing):
     """One board, powered up; ahead of other programs where that is granted, for its watchdog knows no excuse."""
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class Board:
         words = [str(QEMU), "-M", "lm3s6965evb", "-kernel", str(elf()), "-display", "none", "-monitor", "none",
                  "-serial", "pty", "-qmp", f"unix:{self._places}/qmp,server=on,wait=off",
                  "-gdb", f"unix:{self._places}/gdb,server=on,wait=off"]
-        with ahead_of_everything():
+        with ahead(4 * REAL_TIME_PRIORITY):  # what is started meanwhile too, as a board has its processor
             self._child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         assert self._child.stdout is not None
         said = re.search(r"/dev/\S+", self._child.stdout.readline())
@@ -180,7 +180,7 @@ class Board:
         """Put other code where a function begins, as a debugger does; returns what stood there. Resets keep it."""
         place = f"{symbols()[function]:x},{len(code):x}"
         with self._connect("gdb") as line:  # which halts the board
-            before, _, _ = (self._debug(line, packet) for packet in (f"m{place}", f"M{place}:{code.hex()}", "D"))
+            before, *_ = (self._debug(line, packet) for packet in (f"m{place}", f"M{place}:{code.hex()}", "D"))
         return bytes.fromhex(before)
 
     @staticmethod
@@ -200,10 +200,3 @@ class Board:
         self._child.kill()
         self._child.wait()
         shutil.rmtree(self._places)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()

@@ -65,7 +65,8 @@ class SensorBench(RigBench):
                  magnet: PivotSettings = MAGNET, **firmware: Any) -> None:
         chips = {"pivot": magnet, "shunt": shunt or ShuntSettings(), "shunt_kind": "ina228"}
         super().__init__(path, plant, imu, chips, **firmware)
-        pivot, shunt = As5600(self.mock.bus, **self.times), CurrentShunt(self.mock.bus, "ina228", 0.01, 200.0, **self.times)
+        pivot = As5600(self.mock.bus, **self.times)
+        current = CurrentShunt(self.mock.bus, "ina228", 0.01, 200.0, **self.times)
         pivot.open()
-        shunt.open()
-        self.sensors = Sensors(pivot, shunt)
+        current.open()
+        self.sensors = Sensors(pivot, current)

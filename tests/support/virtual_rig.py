@@ -25,8 +25,7 @@ class VirtualRig:
         self.mock = MockRig(plant or StillPlant(), self.clock, imu, firmware, seed,
                             codec=CanCodec if can else Decoder, **rig)
         self.firmware = self.mock.firmware
-        self.link: Any = FaultyLink(EmulatorLink(self.firmware, self.clock, nothing=() if can else b""), self.clock,
-                                    wire)
+        self.link = FaultyLink(EmulatorLink(self.firmware, self.clock, nothing=() if can else b""), self.clock, wire)
         self.controller = LegController(self.link, self.clock.now_ns, CanCodec() if can else None)
         self.imu = Lsm9ds1(self.mock.bus, config=config, **self.times)
 
@@ -38,10 +37,11 @@ class VirtualRig:
 
     def save(self, path: Path, text: str, plan: Plan, **more: Any) -> RecordReport:
         """`record_run` with the rig file `text`; without the IMU by `imu=None`."""
-        devices = {"imu": self.imu, "controller": self.controller, "now_ns": self.clock.now_ns, "threaded": False}
+        devices: dict[str, Any] = {"imu": self.imu, "controller": self.controller, "now_ns": self.clock.now_ns,
+                                   "threaded": False}
         return record_run(path, parse_rig(text), text, plan, **devices | more)
 
-    def run(self, seconds: float, torque_nm: float | None = None) -> list[Any]:
+    def poll_for(self, seconds: float, torque_nm: float | None = None) -> list[Any]:
         """What the controller says in so long; with a torque commanded after each look, where one is given."""
         end, out = self.clock.now_ns() + seconds * 1e9, []
         while self.clock.now_ns() < end:

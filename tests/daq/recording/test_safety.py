@@ -57,9 +57,8 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.fixture
 def firmware() -> Iterator[Served]:
-    served = Served()
-    yield served
-    served.close()
+    with Served() as served:
+        yield served
 
 
 class Recording:

@@ -18,7 +18,6 @@ from daq.runs.mcap_run import FLUSH_MESSAGES
 from daq.runs.streams import CLOCK, COMMAND, IMU_STREAM, STREAMS, TELEMETRY, pack_note, unpack_note
 from tests.support.paths import ROOT
 
-
 FILES = {"rig.toml": "[mechanism]\n", "plan.csv": "time_s,tau2_cmd_nm\n"}
 
 

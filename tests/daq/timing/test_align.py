@@ -237,8 +237,8 @@ def test_a_reboot_in_mid_run_leaves_a_gap_and_keeps_the_time(tmp_path: Path) -> 
     """Two boots with clocks of their own, the first wrapping; the knee's angle is the host's time."""
     writer = RunWriter(tmp_path / "b.mcap", {})
 
-    def tick(t: float, start: float, first: int, error: float) -> int:
-        return (first + round((t - start) * (1 + error) * 1e6)) % 2**32
+    def tick(t: float, start: float, first: float, error: float) -> int:
+        return round(first + (t - start) * (1 + error) * 1e6) % 2**32
 
     for boot, stop, *clock in ((11, 4.0, 0.0, 2**32 - 1_500_000, 30e-6), (12, 9.0, 4.7, 0, -50e-6)):
         for k, t in enumerate(np.arange(clock[0], stop, 0.002)):
