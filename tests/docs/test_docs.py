@@ -139,8 +139,8 @@ def test_the_site_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
 
 def look_at_text(page: Path) -> None:
     """What a browser would fetch is in the site itself."""
-    text = page.read_text(encoding="utf-8")
-    for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"', text):
+    for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"',
+                              page.read_text(encoding="utf-8")):
         assert not re.match(r"(https?:)?//", address), (page.name, address)
         if not address.startswith("data:"):
             assert (page.parent / re.sub(r"[?#].*", "", address)).exists(), (page.name, address)
