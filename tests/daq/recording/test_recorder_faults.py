@@ -1,6 +1,5 @@
 """Faults while recording: every gap is marked and reaches the Dataset as a gap; slow, full disks and stepped clocks."""
 
-import io
 import math
 import re
 import time
@@ -179,12 +178,3 @@ def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_the_name_free(
     with pytest.raises(WorkError, match=FULL + "$"):
         on_disk(1.0, room=100)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_faulty_disk_is_the_file_otherwise() -> None:
-    file = io.BytesIO()
-    disk = FaultyDisk(file, room=4)
-    assert disk.write(b"abcd") == 4
-    with pytest.raises(OSError, match="No space left"):
-        disk.write(b"e")
-    assert disk.tell() == 4

@@ -16,6 +16,8 @@ from tests.support.recordings import RIG, Turning, at
 from tests.support.runs import load_run
 from tests.support.sensor_bench import TABLES, SensorBench
 
+STALE = "limit staleness_s tripped: time in s without a valid current of the second shunt"
+
 
 def test_both_are_recorded_and_come_back_in_si_units(path: Path) -> None:
     bench = SensorBench(path, shunt=ShuntSettings(offset_v=2e-4))
@@ -53,26 +55,25 @@ def test_times_are_right(path: Path) -> None:
     assert abs(late_s) < data.clock_bound_s and 1e-4 < data.clock_bound_s < 1e-3
 
 
-@pytest.mark.parametrize("fault, line", [
-    (lambda b: setattr(b.mock.pivot, "status", 0), "limit q1_rad tripped: pivot angle in rad cannot be checked"),
-    (lambda b: b.mock.pivot.fail(121, 9), "AS5600 at 0x36: no acknowledge; check wiring"),
-    (lambda b: b.mock.pivot.brown_out(), "AS5600 at 0x36: register CONF reads 0x0000 after 0x0300"),
-    (lambda b: setattr(b.mock.pivot, "held_at", 0), "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
-    (lambda b: setattr(b.mock.pivot, "held_at", 255), "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
-    (lambda b: b.mock.shunt.fail(121, 9), "INA228 at 0x40: no acknowledge; check wiring"),
-    (lambda b: b.mock.shunt.brown_out(), "INA228 at 0x40: register 0x01 reads 0xFB68 after"),
-    (lambda b: setattr(b.mock.shunt, "converting", False),
-     "limit staleness_s tripped: time in s without a valid current of the second shunt"),
-    (lambda b: setattr(b.mock, "_per_a", 0.001),
-     "limit staleness_s tripped: time in s without a valid current of the second shunt"),
+@pytest.mark.parametrize("part, name, value, line", [
+    ("pivot", "status", 0, "limit q1_rad tripped: pivot angle in rad cannot be checked"),
+    ("pivot", "fail", (121, 9), "AS5600 at 0x36: no acknowledge; check wiring"),
+    ("pivot", "brown_out", (), "AS5600 at 0x36: register CONF reads 0x0000 after 0x0300"),
+    ("pivot", "held_at", 0, "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
+    ("pivot", "held_at", 255, "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
+    ("shunt", "fail", (121, 9), "INA228 at 0x40: no acknowledge; check wiring"),
+    ("shunt", "brown_out", (), "INA228 at 0x40: register 0x01 reads 0xFB68 after"),
+    ("shunt", "converting", False, STALE), ("", "_per_a", 0.001, STALE),
 ], ids=["magnet lost", "pivot silent", "pivot reset", "pivot lines low", "pivot lines open", "shunt silent",
         "shunt reset", "shunt stopped", "shunt overflow"])
-def test_every_fault_ends_the_run_with_the_torque_off(path: Path, fault: Any, line: str) -> None:
+def test_every_fault_ends_the_run_with_the_torque_off(path: Path, part: str, name: str, value: Any, line: str) -> None:
+    """A value that something in the rig takes, or a call that it gets."""
     bench, struck = SensorBench(path), []
+    owner = getattr(bench.mock, part) if part else bench.mock
 
     def strike() -> None:
         struck.append(bench.clock.now_ns())
-        fault(bench)
+        getattr(owner, name)(*value) if isinstance(value, tuple) else setattr(owner, name, value)
 
     said, raw = bench.fails(on_progress=at(0.25, strike))
     assert any(part in said for part in line.split("|")), said
