@@ -3,8 +3,7 @@
 import itertools
 import os
 from collections.abc import Iterator
-from contextlib import suppress
-from typing import Any
+from contextlib import closing, suppress
 
 import can
 import numpy as np
@@ -174,14 +173,10 @@ class ServingAdapter(SlcanAdapter):
 
 
 def test_a_serial_can_adapter_carries_it_too(rig: MockRig) -> None:
-    adapter = ServingAdapter(rig)
-    try:
-        config: dict[str, Any] = {"interface": "slcan", "channel": adapter.path, "bitrate": 1_000_000,
-                                  "sleep_after_open": 0.0}
-        with LegController(CanLink(3, **config), codec=CanCodec(3)) as controller:
+    with closing(ServingAdapter(rig)) as adapter:
+        link = CanLink(3, interface="slcan", channel=adapter.path, bitrate=1_000_000, sleep_after_open=0.0)
+        with LegController(link, codec=CanCodec(3)) as controller:
             drive(controller, rig)
         assert {"S8", "O"} <= set(adapter.commands)  # 1 Mbit/s
         is_stopped(rig)
         assert rig.firmware.drive.torque_nm == 0.0
-    finally:
-        adapter.close()

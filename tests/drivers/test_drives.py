@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import DeviceAbsent, DriverError, FaultReport, Hello, LinkLost, State, drive_kinds, open_drive
+from drivers import DeviceAbsent, DriverError, Hello, LinkLost, State, drive_kinds, open_drive
 from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault
 from drivers.mock import drive_facts
 from drivers.protocol import Fault
-from tests.support.drive_bench import CONSTANT, DriveBench, driven, opened, states, telemetry
+from tests.support.drive_bench import CONSTANT, DriveBench, driven, faults, opened, states, telemetry
 from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 NEVER_ON = ["feetech"]
@@ -106,8 +106,7 @@ def test_the_drives_own_watchdog_ends_the_torque_of_a_host_that_is_gone(kind: st
     gone_ns = bench.clock.now_ns()
     received = bench.run(watchdog_ms * 1e-3 + 0.15)
     assert 0.5e-3 * watchdog_ms < bench.zero_after(gone_ns) < 1e-3 * watchdog_ms + 0.01
-    faults = [one.message for one in received if isinstance(one.message, FaultReport)]
-    assert [fault.fault for fault in faults] == [Fault.WATCHDOG] and State.FAULT in states(received)
+    assert [fault.fault for fault in faults(received)] == [Fault.WATCHDOG] and State.FAULT in states(received)
     bench.drive.command(1.0)
     bench.run(0.02, 1.0)
     assert bench.far.torque_nm == 0.0

@@ -6,14 +6,13 @@ import struct
 import numpy as np
 import pytest
 
-from drivers import FaultReport
 from drivers import feetech as sts
 from drivers.errors import ProtocolMismatch
 from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.protocol import Fault
-from tests.support.drive_bench import DriveBench, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.drive_bench import DriveBench, faults, fed_in_pieces, models_heard, opened, telemetry
 from tests.support.spies import recorded
 from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
@@ -133,8 +132,7 @@ def test_its_faults_have_our_names(part: str, state: float, fault: Fault, said: 
     bench = opened("feetech")
     bench.run(0.05)
     setattr(bench.far, part, state)
-    reports = [one.message for one in bench.run(0.1) if isinstance(one.message, FaultReport)]
-    assert [report.fault for report in reports] == [fault] and said in bench.drive.words
+    assert [report.fault for report in faults(bench.run(0.1))] == [fault] and said in bench.drive.words
 
 
 def test_another_model_is_refused_by_name() -> None:

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from drivers import FaultReport, Reaction
+from drivers import Reaction
 from drivers.can_frame import CanFrame
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock import MockRig, PtyServer, RealClock, drive_maker, on_serial
 from drivers.mock.moteus_drive import MockMoteus
 from drivers.moteus_drive import QUERY, MoteusDrive
 from drivers.multiplex import WRITE, Kind, Register, parse, write
-from tests.support.drive_bench import DriveBench, opened, telemetry
+from tests.support.drive_bench import DriveBench, faults, opened, telemetry
 from tests.support.still_plant import StillPlant
 
 
@@ -58,8 +58,7 @@ def test_a_fault_has_its_number_and_name() -> None:
     bench = DriveBench("moteus")
     bench.armed()
     bench.far.bus_v = 50.0
-    received = bench.run(0.05, 0.5)
-    assert [one.message.value for one in received if isinstance(one.message, FaultReport)] == [34.0]
+    assert [report.value for report in faults(bench.run(0.05, 0.5))] == [34.0]
     assert "fault 34 over voltage" in bench.drive.words
 
 

@@ -7,7 +7,7 @@ import subprocess
 import termios
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import Any
 
 import can
@@ -158,8 +158,7 @@ def test_the_kernels_stamp_is_of_the_arrival() -> None:
 
 
 def test_slcan_carries_frames_and_says_bus_off() -> None:
-    adapter = SlcanAdapter()
-    try:
+    with closing(SlcanAdapter()) as adapter:
         fcntl.ioctl(adapter.slave, termios.TIOCSETD, (17).to_bytes(4, "little"))  # N_SLCAN
         name = "slcan0" if os.path.exists("/sys/class/net/slcan0") else "can0"
         ip("link", "set", name, "up")
@@ -178,8 +177,6 @@ def test_slcan_carries_frames_and_says_bus_off() -> None:
             while time.monotonic() < deadline:
                 link.read()
         link.close()
-    finally:
-        adapter.close()
 
 
 def test_sending_without_a_reader_ends_in_words_not_in_a_hang() -> None:

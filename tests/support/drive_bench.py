@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers import Drive, Received, State, Telemetry, Wiring, attach
+from drivers import Drive, FaultReport, Received, State, Telemetry, Wiring, attach
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, Plant, VirtualClock, drive_facts, drive_maker
 from tests.support.still_plant import StillPlant
 
@@ -85,6 +85,11 @@ def driven(kind: str) -> DriveBench:
 def telemetry(received: list[Received]) -> list[Telemetry]:
     """The samples among what came."""
     return [one.message for one in received if isinstance(one.message, Telemetry)]
+
+
+def faults(received: list[Received]) -> list[FaultReport]:
+    """The reports of faults among what came."""
+    return [one.message for one in received if isinstance(one.message, FaultReport)]
 
 
 def states(received: list[Received]) -> set[State]:
