@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from importlib import invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,30 +16,22 @@ import pytest
 from msgspec import structs
 
 from daq import ControllerDevice, Devices, ImuDevice, Mechanism, PivotDevice, Rig, ShuntDevice, parse_rig
+from tests.style.words import FILES, text_of
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "generated" not in path.parts)
 RIG_PAGE, EFFECT_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "effect.md"))
 HOLE = "\N{HORIZONTAL ELLIPSIS}"
+"""In a message of a page, for each value that is put into it."""
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]*)?\)")
 
 
-def literals() -> Iterator[str]:
-    """Every string of the packages, with a hole for each value put into it."""
-    floors = ("drivers", "daq", "estimator", "experiments", "legid", "studies")
-    for path in (p for floor in floors for p in (ROOT / floor).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                yield node.value
-            elif isinstance(node, ast.JoinedStr):
-                yield "".join(str(v.value) if isinstance(v, ast.Constant) else HOLE for v in node.values)
-
-
 def test_every_message_that_is_explained_is_in_the_code() -> None:
     messages = re.findall(r"^`(.+)`\n: ", (DOCS / "troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
-    known = list(literals())
+    known = [text for path in FILES for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+             if (text := text_of(node, HOLE)) is not None]
     assert len(messages) >= 40
     assert [m for m in messages if not any(m in text for text in known)] == []
 
@@ -48,10 +39,9 @@ def test_every_message_that_is_explained_is_in_the_code() -> None:
 def test_no_code_cites_a_document_that_is_not_here() -> None:
     """A name with a folder, or one that stands in docs/ or at the top; `contracts` and `design` were of elsewhere."""
     cited = re.compile(r"(?<![\w/<>.-])((?:docs/)?[A-Za-z_][\w-]*\.md)\b|\b(contracts)\b[:,]")
-    for floor in ("drivers", "daq", "estimator", "experiments"):
-        for path in (ROOT / floor).rglob("*.py"):
-            for name, other in cited.findall(path.read_text(encoding="utf-8")):
-                assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
+    for path in FILES:
+        for name, other in cited.findall(path.read_text(encoding="utf-8")):
+            assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *PAGES],

@@ -20,9 +20,9 @@ WATCHDOG_MS = 500
 class Served:
     """A drive's emulator on vcan0."""
 
-    def __init__(self, kind: str, rate_hz: float = 50.0) -> None:  # a system call costs 50 us in here
-        self.kind = kind
-        self.wiring = Wiring(can=VCAN, node=drive_facts(kind).node, rate_hz=rate_hz, gear_ratio=50.0, turns=50.0,
+    def __init__(self, kind: str) -> None:
+        # A slow rate: a system call costs 50 us in here.
+        self.wiring = Wiring(can=VCAN, node=drive_facts(kind).node, rate_hz=50.0, gear_ratio=50.0, turns=50.0,
                              watchdog_ms=WATCHDOG_MS)
         self.rig = MockRig(StillPlant(), make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive

@@ -43,12 +43,12 @@ class Said(NamedTuple):
     """A public docstring, which must begin with a sentence."""
 
 
-def text_of(node: ast.expr) -> str | None:
-    """Text of a string or f-string, each value of which counts as one word; None of any other node."""
+def text_of(node: ast.AST, value: str = "X") -> str | None:
+    """Text of a string or f-string, with `value` for each of its values; None of any other node."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
-        return "".join(str(v.value) if isinstance(v, ast.Constant) else "X" for v in node.values)
+        return "".join(str(v.value) if isinstance(v, ast.Constant) else value for v in node.values)
     return None
 
 

@@ -21,6 +21,7 @@ from estimator.model import leg2, simulate
 from experiments.models import EffectValue, load_model
 from experiments.rig.devices import connect
 from experiments.workflows import simulate_run
+from tests.support.leg_on_a_link import poll_until
 from tests.support.models import LEG, write_model
 from tests.support.shell import typed
 from tests.support.still_plant import StillPlant
@@ -153,11 +154,7 @@ def drive() -> None:
 
 
 def until(controller: Drive, state: State) -> None:
-    for _ in range(2000):
-        controller.poll()
-        if controller.telemetry is not None and controller.telemetry.state == state:
-            return
-    raise AssertionError(f"never {state}")
+    poll_until(controller, lambda _: controller.telemetry and controller.telemetry.state == state)
 
 
 def command(folder: Path) -> None:

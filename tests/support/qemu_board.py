@@ -10,7 +10,7 @@ import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ import pytest
 from daq.recording.workers import REAL_TIME_PRIORITY
 from drivers import Closing
 from tests.support.c_firmware import SOURCES
+from tests.support.leg_on_a_link import settle
 
 CC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
 PORT = SOURCES / "port_lm3s6965"
@@ -27,7 +28,6 @@ CORE = [SOURCES / f"leg_{part}.c" for part in ("core", "config", "codec")]
 STRICT = ["-mthumb", "-std=c99", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror"]
 HANG, RETURN = b"\xfe\xe7", b"\x70\x47"
 """Thumb: `b .`, `bx lr`."""
-PATIENCE_S = 20.0
 
 
 def returns(value: int) -> bytes:
@@ -116,16 +116,9 @@ class Board(Closing):
 
     def _connect(self, name: str) -> socket.socket:
         line = socket.socket(socket.AF_UNIX)
-        self._until(lambda: (self._places / name).exists())
+        settle(lambda: (self._places / name).exists())
         line.connect(str(self._places / name))
         return line
-
-    @staticmethod
-    def _until(condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
 
     def _do(self, what: str, **arguments: Any) -> Any:
         self._line.write(json.dumps({"execute": what, "arguments": arguments}) + "\n")
@@ -168,11 +161,11 @@ class Board(Closing):
         """To the emulator's process: SIGSTOP holds the processor, and time goes on."""
         self._child.send_signal(number)
 
-    def zero_after_s(self, from_s: float, patience_s: float = 2.0) -> float:
+    def zero_after_s(self, from_s: float) -> float:
         """Time from then until the bridge was last asked and had a torque [s]; who asks may be late, not the board."""
         last_s = asked_s = time.monotonic()
         while self.bridge_nm():
-            assert asked_s < from_s + patience_s, "still driven"
+            assert asked_s < from_s + 2.0, "still driven"
             last_s, asked_s = asked_s, time.monotonic()
         return last_s - from_s
 

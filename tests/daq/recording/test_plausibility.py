@@ -33,8 +33,8 @@ def frames(seconds: float, torque=lambda t: 0.0, knee=lambda t: 0.2) -> Iterator
 def flagged(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, knee=lambda t: 0.2) -> tuple[str, float]:
     """(first check beyond its time-out, when it was [s]), or ("", end)."""
     checks = Plausibility(LIMITS, Calibration(), HELLO, None, 10**9)
-    bounds = {"controller_age_s": LIMITS.staleness_s, **{n: getattr(LIMITS, n) for n in ("echo_s", "torque_s",
-                                                                                         "encoder_s")}}
+    bounds = {"controller_age_s": LIMITS.staleness_s, "echo_s": LIMITS.echo_s, "torque_s": LIMITS.torque_s,
+              "encoder_s": LIMITS.encoder_s}
     for frame, ns in frames(seconds, torque, knee):
         t = (ns - 10**9) * 1e-9
         checks.commanded(ns - 1_000_000, frame.torque_cmd_nm)
@@ -43,7 +43,7 @@ def flagged(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, kn
             checks.frame(told, ns)
         found = checks.suspects(ns)._asdict()
         for name, bound in bounds.items():
-            if found[name] is not None and found[name] > bound:
+            if (found[name] or 0.0) > bound:
                 return name, t
     return "", seconds
 

@@ -66,13 +66,13 @@ class Recording:
 
     def __init__(self, firmware: Served, folder: Path, watchdog_ms: int, limits: str = "", program: str = "") -> None:
         self.run = folder / "run.mcap"
-        (folder / "rig.toml").write_text(RIG.format(port=firmware.path, watchdog_ms=watchdog_ms) + limits)
-        t = np.arange(0.0, 60.0, 0.01)
-        write_plan(Plan(t, 0.3 + 0.1 * np.sin(20 * t)), folder / "plan.csv")
+        rig, plan, t = folder / "rig.toml", folder / "plan.csv", np.arange(0.0, 60.0, 0.01)
+        rig.write_text(RIG.format(port=firmware.path, watchdog_ms=watchdog_ms) + limits)
+        write_plan(Plan(t, 0.3 + 0.1 * np.sin(20 * t)), plan)
         start = ["-c", program] if program else ["-m", "experiments.cli"]
         self.child = subprocess.Popen(
-            [sys.executable, *start, "record", "--rig", folder / "rig.toml", "--plan", folder / "plan.csv", "--out",
-             self.run], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+            [sys.executable, *start, "record", "--rig", rig, "--plan", plan, "--out", self.run], cwd=ROOT,
+            stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         self.firmware = firmware
 
     def driving(self) -> None:
