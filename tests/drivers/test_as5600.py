@@ -52,11 +52,14 @@ def test_a_reading_is_stamped_around_its_transfer(opened: Bench) -> None:
     assert reading.t_after_ns - reading.t_before_ns == pytest.approx(5 * 9 / 400e3 * 1e9, abs=10)  # 5 bytes at 400 kHz
 
 
-@pytest.mark.parametrize("status, line", [
-    (0, "no magnet"), (ML, "no magnet"), (MD | ML | MH, "cannot be true")])
-def test_a_magnet_that_is_not_there_is_refused_with_its_remedy(bench: Bench, status: int, line: str) -> None:
-    bench.chip.status = status
-    with pytest.raises(DeviceFault, match=line):
+@pytest.mark.parametrize("name, value, error, line", [
+    ("status", 0, DeviceFault, "no magnet"), ("status", ML, DeviceFault, "no magnet"),
+    ("status", MD | ML | MH, DeviceFault, "cannot be true"),
+    ("held_at", 0xFF, DeviceAbsent, "another chip is wired there")])
+def test_a_magnet_that_is_not_there_and_another_chip_are_refused_with_a_remedy(
+        bench: Bench, name: str, value: int, error: type[Exception], line: str) -> None:
+    setattr(bench.chip, name, value)
+    with pytest.raises(error, match=line):
         bench.driver.open()
 
 
@@ -87,12 +90,6 @@ def test_lost_settings_are_noticed_within_a_tenth_of_a_second(opened: Bench) -> 
         for _ in range(21):
             opened.clock.sleep(0.005)
             opened.driver.read()
-
-
-def test_another_chip_at_the_address_is_refused(bench: Bench) -> None:
-    bench.chip.held_at = 0xFF
-    with pytest.raises(DeviceAbsent, match="another chip is wired there"):
-        bench.driver.open()
 
 
 def test_another_driver_reads_the_emulated_chip_as_ours_does(bench: Bench) -> None:

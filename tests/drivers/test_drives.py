@@ -60,10 +60,10 @@ def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
     bench.run(0.1, 0.6)
     seen = telemetry(bench.run(0.2, 0.6))
     assert states(bench.run(0.02, 0.6)) == {State.ARMED}
-    assert seen[-1].knee_rad == pytest.approx(0.3, abs=2 * math.pi / 50 / 4096)
-    assert seen[-1].torque_cmd_nm == pytest.approx(0.6, abs=1e-3)
+    last = seen[-1]
+    assert last.knee_rad == pytest.approx(0.3, abs=2 * math.pi / 50 / 4096)
+    assert last.torque_cmd_nm == pytest.approx(0.6, abs=1e-3) and last.bus_v == pytest.approx(24.0, abs=0.2)
     assert np.mean([t.current_a for t in seen]) * CONSTANT == pytest.approx(0.6, abs=0.02)
-    assert seen[-1].bus_v == pytest.approx(24.0, abs=0.2)
     assert bench.rig.drive.motor.last_mean_nm == pytest.approx(0.6, abs=1e-3)
 
 
@@ -117,9 +117,7 @@ def test_the_drives_own_watchdog_ends_the_torque_of_a_host_that_is_gone(kind: st
 
 
 def test_a_watchdogs_fault_of_a_run_before_is_still_there_on_opening(kind: str) -> None:
-    bench = DriveBench(kind)
-    bench.armed()
-    bench.run(0.05, 1.0)
+    bench = driven(kind, 100)
     bench.run(0.3)
     again = bench.attached()
     again.open()
@@ -142,9 +140,8 @@ def test_a_sample_was_taken_between_request_and_answer(any_kind: str) -> None:
     knee = np.array([t.knee_rad for t in telemetry(received)])
     asked, host = (np.array([getattr(one, name) for one in received]) for name in ("asked_ns", "host_ns"))
     taken = (knee - knee[0]) * 1e9 + asked[0]
-    offset = np.array([taken - asked, host - taken])
     slack = 1e9 * 2 * math.pi / 50 / 16384 + 0.6e6  # a count of the encoder, a step of the physics
-    assert offset.min() > -slack and began <= asked[0]
+    assert began <= asked[0] and np.minimum(taken - asked, host - taken).min() > -slack
     ticks = np.array([t.tick_us for t in telemetry(received)])
     assert np.abs(ticks - (asked + host) / 2000 % 2**32).max() <= 1.0
 
@@ -209,9 +206,7 @@ def test_a_restart_on_the_way_is_told_and_the_torque_stays_off(kind: str) -> Non
 
 
 def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
-    bench = DriveBench(kind)
-    bench.armed()
-    bench.run(0.05, 1.0)
+    bench = driven(kind, 100)
     pulled_ns = bench.clock.now_ns()
     bench.link.unplug()
     with pytest.raises(LinkLost):

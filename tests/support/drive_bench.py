@@ -74,10 +74,10 @@ def opened(kind: str, plant: Plant | None = None, **wiring: Any) -> DriveBench:
     return bench
 
 
-def driven(kind: str) -> DriveBench:
+def driven(kind: str, watchdog_ms: int = 1000) -> DriveBench:
     """Armed, with a torque of 1 N m."""
     bench = DriveBench(kind)
-    bench.armed(1000)
+    bench.armed(watchdog_ms)
     bench.run(0.05, 1.0)
     return bench
 

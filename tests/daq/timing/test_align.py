@@ -24,8 +24,7 @@ def table(time_s: np.ndarray, **columns: np.ndarray) -> RawTable:
 
 
 def test_samples_on_the_grid_are_taken_as_they_are() -> None:
-    rng = np.random.default_rng(0)
-    t = 3.0 + np.arange(500) / 200.0
+    rng, t = np.random.default_rng(0), 3.0 + np.arange(500) / 200.0
     values = rng.normal(size=500)
     run = align_table(table(t + rng.uniform(-0.4e-2, 0.4e-2, 500) / 200.0, q2_rad=values), 200.0)
     assert_array_equal(run["q2_rad"], values)
@@ -41,8 +40,7 @@ def test_an_oscillator_100_ppm_off_is_not_resampled_and_a_thousandth_is() -> Non
 
 
 def test_jittered_samples_of_the_grids_rate_are_splined() -> None:
-    rng = np.random.default_rng(3)
-    t = np.cumsum(rng.uniform(0.6, 1.4, 1000)) * 0.01
+    t = np.cumsum(np.random.default_rng(3).uniform(0.6, 1.4, 1000)) * 0.01
     run = align_table(table(t, q=np.sin(2 * np.pi * 2.0 * t)), 100.0)
     inner = slice(5, -5)
     assert_allclose(run["q"][inner], np.sin(2 * np.pi * 2.0 * run.time_s)[inner], atol=3e-4)
@@ -59,8 +57,7 @@ def test_two_samples_that_almost_coincide_do_not_make_the_spline_ring() -> None:
 
 def test_fast_samples_are_averaged_over_the_centred_window() -> None:
     """The mean of sin(wt) over [t - d/2, t + d/2] is sin(wt) * sin(wd/2) / (wd/2)."""
-    rng = np.random.default_rng(4)
-    t = np.cumsum(rng.uniform(0.8, 1.2, 20_000)) * 1e-4
+    t = np.cumsum(np.random.default_rng(4).uniform(0.8, 1.2, 20_000)) * 1e-4
     w, d = 2 * np.pi * 8.0, 0.01
     run = align_table(table(t, q2_rad=np.sin(w * t), tau2_nm=np.cos(w * t)), 100.0)
     shrink = math.sin(w * d / 2) / (w * d / 2)
