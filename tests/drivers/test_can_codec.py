@@ -49,7 +49,7 @@ def test_telemetry_that_lacks_a_part_is_lost_whole_and_counted(part: int) -> Non
 
 
 WIRE, LATER = frames(TELEMETRY), frames(replace(TELEMETRY, seq=8, knee_rad=1.0))
-OTHERS = [Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0)]
+OTHERS: list[Message] = [Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0)]
 
 
 @pytest.mark.parametrize("arrived, got, bad", [
