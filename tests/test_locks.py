@@ -43,11 +43,9 @@ def test_every_lock_is_known_and_made_by_the_same_command() -> None:
 def test_every_package_is_pinned_and_hashed(name: str) -> None:
     assert len(read(name)) >= 4
     for requirement, entry in read(name).items():
-        assert PIN.fullmatch(requirement), requirement
         first, *hashes = entry.rstrip("\n").split(" \\\n")
-        assert first == requirement and hashes, requirement
-        assert all(HASH.fullmatch(line) for line in hashes), requirement
-        assert len(set(hashes)) == len(hashes)
+        assert PIN.fullmatch(requirement) and first == requirement and hashes, requirement
+        assert all(map(HASH.fullmatch, hashes)) and len(set(hashes)) == len(hashes), requirement
 
 
 @pytest.mark.parametrize("name", LOCKS)

@@ -10,8 +10,7 @@ RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
 
 def test_a_drive_that_makes_torque() -> None:
     loop = Loop(gain=6.0, damping=0.2, integral=1.5, limit=2.0)
-    error, rate_error, summed = np.array([0.1, -0.9, 0.0]), np.array([0.5, 0.0, -1.0]), np.array([0.2, 0.0, 0.4])
-    wanted = loop.wanted(error, rate_error, summed)
+    wanted = loop.wanted(*np.array([[0.1, -0.9, 0.0], [0.5, 0.0, -1.0], [0.2, 0.0, 0.4]]))  # error, its rate, its sum
     assert wanted == pytest.approx([0.6 + 0.1 + 0.3, -2.0, -0.2 + 0.6])
     assert loop.acting(wanted, np.full(3, 7.0), 1.0) == pytest.approx(wanted)
 
@@ -28,8 +27,7 @@ def test_a_motor_on_voltage_brakes_by_its_back_emf_and_is_limited_by_its_current
 
 
 def test_arrays_of_several_segments() -> None:
-    loops = [[None, Loop(3.0, limit=1.0)], [None, Loop(5.0)]]
-    along = Loop.along(loops, [2, 3])
+    along = Loop.along([[None, Loop(3.0, limit=1.0)], [None, Loop(5.0)]], [2, 3])
     gain, limit = np.asarray(along.gain), np.asarray(along.at((..., slice(1, 3))).limit)
     assert np.isnan(gain[0]).all() and gain[1] == pytest.approx([3, 3, 5, 5, 5])
     assert limit[1] == pytest.approx([1.0, np.inf])

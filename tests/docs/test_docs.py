@@ -3,10 +3,11 @@
 import ast
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
 from importlib import invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,30 +16,22 @@ import pytest
 from msgspec import structs
 
 from daq import ControllerDevice, Devices, ImuDevice, Mechanism, PivotDevice, Rig, ShuntDevice, parse_rig
+from tests.style.words import FILES, text_of
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "generated" not in path.parts)
 RIG_PAGE, EFFECT_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "effect.md"))
 HOLE = "\N{HORIZONTAL ELLIPSIS}"
+"""In a message of a page, for each value that is put into it."""
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]*)?\)")
 
 
-def literals() -> Iterator[str]:
-    """Every string of the packages, with a hole for each value put into it."""
-    floors = ("drivers", "daq", "estimator", "experiments", "legid", "studies")
-    for path in (p for floor in floors for p in (ROOT / floor).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                yield node.value
-            elif isinstance(node, ast.JoinedStr):
-                yield "".join(str(v.value) if isinstance(v, ast.Constant) else HOLE for v in node.values)
-
-
 def test_every_message_that_is_explained_is_in_the_code() -> None:
     messages = re.findall(r"^`(.+)`\n: ", (DOCS / "troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
-    known = list(literals())
+    known = [text for path in FILES for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+             if (text := text_of(node, HOLE)) is not None]
     assert len(messages) >= 40
     assert [m for m in messages if not any(m in text for text in known)] == []
 
@@ -46,10 +39,9 @@ def test_every_message_that_is_explained_is_in_the_code() -> None:
 def test_no_code_cites_a_document_that_is_not_here() -> None:
     """A name with a folder, or one that stands in docs/ or at the top; `contracts` and `design` were of elsewhere."""
     cited = re.compile(r"(?<![\w/<>.-])((?:docs/)?[A-Za-z_][\w-]*\.md)\b|\b(contracts)\b[:,]")
-    for floor in ("drivers", "daq", "estimator", "experiments"):
-        for path in (ROOT / floor).rglob("*.py"):
-            for name, other in cited.findall(path.read_text(encoding="utf-8")):
-                assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
+    for path in FILES:
+        for name, other in cited.findall(path.read_text(encoding="utf-8")):
+            assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *PAGES],
@@ -87,15 +79,13 @@ def test_the_rig_s_defaults_are_those_that_its_page_shows() -> None:
 @pytest.mark.slow
 def test_the_how_to_s_effect_is_found_in_simulated_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page's class, installed as pip would leave it, and docs/own_effect.py."""
-    import runpy
-    import tempfile
-
     code = re.findall(r"```python\n(.*?)```", EFFECT_PAGE, re.DOTALL)[0]
-    (tmp_path / "my_effects.py").write_text(code)
-    info = tmp_path / "my_effects-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_effects\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[legid.effects]\nhose_pull = my_effects:HosePull\n")
+    (tmp_path / "my_effects-1.0.dist-info").mkdir()
+    for name, text in (("my_effects.py", code),
+                       ("my_effects-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: my_effects\nVersion: 1.0\n"),
+                       ("my_effects-1.0.dist-info/entry_points.txt",
+                        "[legid.effects]\nhose_pull = my_effects:HosePull\n")):
+        (tmp_path / name).write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     invalidate_caches()
@@ -139,8 +129,8 @@ def test_the_site_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
 
 def look_at_text(page: Path) -> None:
     """What a browser would fetch is in the site itself."""
-    text = page.read_text(encoding="utf-8")
-    for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"', text):
+    for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"',
+                              page.read_text(encoding="utf-8")):
         assert not re.match(r"(https?:)?//", address), (page.name, address)
         if not address.startswith("data:"):
             assert (page.parent / re.sub(r"[?#].*", "", address)).exists(), (page.name, address)

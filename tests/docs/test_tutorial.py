@@ -22,15 +22,15 @@ SWAYS = re.compile(r"(?m)^(assumed: (torque acts|friction smoothing)|Wide interv
                    r"warning: \d+ % of).*\n")
 
 
-@pytest.fixture(scope="module")
-def told(module_path: Path) -> tuple[Path, list[tuple[Block, str]]]:
-    """The directory that the tutorial leaves behind, and each block with what it printed."""
+def printed(some: list[Block], home: Path) -> Path:
+    """The directory that blocks leave behind, of which each printed what the page shows."""
     if shutil.which("bash") is None:
         pytest.skip("no bash")
-    folder = module_path / "my-leg"
+    folder = home / "my-leg"
     folder.mkdir()
-    some = blocks(TEXT)[1:]
-    return folder, list(zip(some, run_blocks(some, folder)))
+    for block, said in zip(some, run_blocks(some, folder)):
+        assert block.text is None or words(block.text) == words(shortened(said, block.first)), block.code
+    return folder
 
 
 def test_no_command_escapes_the_test() -> None:
@@ -48,15 +48,9 @@ def test_make_knows_how_to_install() -> None:
 
 
 @pytest.mark.slow
-def test_every_command_prints_what_the_page_shows(told: tuple[Path, list[tuple[Block, str]]]) -> None:
-    for block, said in told[1]:
-        if block.text is not None:
-            assert words(block.text) == words(shortened(said, block.first)), block.code
-
-
-@pytest.mark.slow
-def test_the_spring_is_found(told: tuple[Path, list[tuple[Block, str]]]) -> None:
-    found = json.loads((told[0] / "diagnosis.json").read_text())
+def test_every_command_prints_what_the_page_shows_and_the_spring_is_found(tmp_path: Path) -> None:
+    folder = printed(blocks(TEXT)[1:], tmp_path)
+    found = json.loads((folder / "diagnosis.json").read_text())
     assert found["verdict"] == "named"
     (cause,) = found["causes"]
     stiffness, preload = (size["value"] for size in cause["size"])
@@ -65,19 +59,14 @@ def test_the_spring_is_found(told: tuple[Path, list[tuple[Block, str]]]) -> None
     knee = found["gain"]["free_run_rmse"]["q2_rad"]
     assert knee["before"] > 0.05 and knee["after"] < 0.15 * knee["before"]
     assert f"true beta1 is {LegBody().beta()[0]:.3f} kg m^2" in TEXT
-    assert {"fit.html", "diagnosis.html", "simulated.csv"} <= {path.name for path in told[0].iterdir()}
+    assert {"fit.html", "diagnosis.html", "simulated.csv"} <= {path.name for path in folder.iterdir()}
 
 
 @pytest.mark.slow
 def test_the_page_of_positions_prints_what_it_shows(tmp_path: Path) -> None:
-    if shutil.which("bash") is None:
-        pytest.skip("no bash")
-    folder = tmp_path / "my-leg"
-    folder.mkdir()
     some = blocks(POSITIONS.read_text(encoding="utf-8"))
     assert len(some) >= 7 and all(block.text is not None for block in some)
-    for block, said in zip(some, run_blocks(some, folder)):
-        assert words(block.text or "") == words(shortened(said, block.first)), block.code
+    printed(some, tmp_path)
 
 
 def test_what_the_page_hides_can_be_hidden() -> None:

@@ -1,7 +1,6 @@
 """The pivot sensor: its bytes against the data sheet and another driver, and what it says when something is wrong."""
 
 import math
-from typing import Any
 
 import pytest
 
@@ -10,105 +9,91 @@ from drivers.as5600 import COUNTS, MD, MH, ML
 from drivers.errors import DeviceFault
 from drivers.mock import MockAs5600, PivotSettings, VirtualClock
 from tests.support.circuitpython import Busio
-
-QUIET = PivotSettings(noise_rad=0.0)
+from tests.support.spies import recorded
 
 
 class Bench:
-    def __init__(self, settings: PivotSettings = QUIET) -> None:
-        self.clock = VirtualClock()
-        self.angle = 0.0
-        self.chip = MockAs5600(self.clock, lambda t_ns: self.angle, settings)
+    def __init__(self) -> None:
+        self.clock, self.angle = VirtualClock(), 0.0
+        self.chip = MockAs5600(self.clock, lambda t_ns: self.angle, PivotSettings(noise_rad=0.0))
         self.driver = As5600(self.chip, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
 
 
-def test_what_is_written_and_read_is_the_data_sheets() -> None:
-    bench, sent = Bench(), []
-    transfer = bench.chip.i2c_rdwr
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
 
-    def spy(*messages: Any) -> None:
-        sent.append([bytes(x) for x in messages if not x.flags & 1])
-        transfer(*messages)
 
-    bench.chip.i2c_rdwr = spy
+@pytest.fixture
+def opened(bench: Bench) -> Bench:
     bench.driver.open()
+    return bench
+
+
+def test_what_is_written_and_read_is_the_data_sheets(bench: Bench) -> None:
+    calls = recorded(bench.chip, "i2c_rdwr")
+    bench.driver.open()
+    sent = [[bytes(x) for x in messages if not x.flags & 1] for messages in calls]
     assert [b"\x07\x03"] in sent and [b"\x08\x00"] in sent  # CONF: SF = 11, FTH = 000, PM, HYST, WD off
     assert not any(message[0][0] == 0xFF for message in sent)  # never the burn register
     assert [b"\x0c"] in sent and [b"\x0b"] in sent  # RAW ANGLE and STATUS
 
 
-def test_every_angle_is_read_as_its_count_all_round() -> None:
-    bench = Bench()
-    bench.driver.open()
+def test_every_angle_is_read_as_its_count_all_round(opened: Bench) -> None:
     for count in range(0, COUNTS, 37):
-        bench.angle = count * 2 * math.pi / COUNTS - 4 * math.pi
-        assert bench.driver.read().raw == count
+        opened.angle = count * 2 * math.pi / COUNTS - 4 * math.pi
+        assert opened.driver.read().raw == count
 
 
-def test_a_reading_is_stamped_around_its_transfer() -> None:
-    bench = Bench()
-    bench.driver.open()
-    before = bench.clock.now_ns()
-    reading = bench.driver.read()
-    assert before <= reading.t_before_ns < reading.t_after_ns <= bench.clock.now_ns()
+def test_a_reading_is_stamped_around_its_transfer(opened: Bench) -> None:
+    before = opened.clock.now_ns()
+    reading = opened.driver.read()
+    assert before <= reading.t_before_ns < reading.t_after_ns <= opened.clock.now_ns()
     assert reading.t_after_ns - reading.t_before_ns == pytest.approx(5 * 9 / 400e3 * 1e9, abs=10)  # 5 bytes at 400 kHz
 
 
-@pytest.mark.parametrize("status, line", [
-    (0, "no magnet"), (ML, "no magnet"), (MD | ML | MH, "cannot be true")])
-def test_a_magnet_that_is_not_there_is_refused_with_its_remedy(status: int, line: str) -> None:
-    bench = Bench()
-    bench.chip.status = status
-    with pytest.raises(DeviceFault, match=line):
+@pytest.mark.parametrize("name, value, error, line", [
+    ("status", 0, DeviceFault, "no magnet"), ("status", ML, DeviceFault, "no magnet"),
+    ("status", MD | ML | MH, DeviceFault, "cannot be true"),
+    ("held_at", 0xFF, DeviceAbsent, "another chip is wired there")])
+def test_a_magnet_that_is_not_there_and_another_chip_are_refused_with_a_remedy(
+        bench: Bench, name: str, value: int, error: type[Exception], line: str) -> None:
+    setattr(bench.chip, name, value)
+    with pytest.raises(error, match=line):
         bench.driver.open()
 
 
 @pytest.mark.parametrize("status, valid", [(MD, True), (MD | ML, True), (MD | MH, True), (0, False), (0xFF, False)])
-def test_a_reading_is_valid_where_there_is_a_magnet(status: int, valid: bool) -> None:
-    bench = Bench()
-    bench.driver.open()
-    bench.chip.status = status
-    assert bench.driver.read().valid is valid
+def test_a_reading_is_valid_where_there_is_a_magnet(opened: Bench, status: int, valid: bool) -> None:
+    opened.chip.status = status
+    assert opened.driver.read().valid is valid
 
 
-def test_the_gain_is_read_now_and_then() -> None:
-    bench = Bench()
+def test_the_gain_is_read_now_and_then(bench: Bench) -> None:
     assert bench.driver.open().agc == 64
     bench.chip.status = MD | ML
     bench.clock.sleep(0.2)
     assert bench.driver.read().agc == 128
 
 
-def test_three_failures_are_borne_and_a_fourth_is_said() -> None:
-    bench = Bench()
-    bench.driver.open()
-    bench.chip.fail(121, times=3)
-    assert bench.driver.read().valid
-    bench.chip.fail(121, times=4)
+def test_three_failures_are_borne_and_a_fourth_is_said(opened: Bench) -> None:
+    opened.chip.fail(121, times=3)
+    assert opened.driver.read().valid
+    opened.chip.fail(121, times=4)
     with pytest.raises(DeviceAbsent, match="AS5600 at 0x36: no acknowledge; check wiring"):
-        bench.driver.read()
+        opened.driver.read()
 
 
-def test_lost_settings_are_noticed_within_a_tenth_of_a_second() -> None:
-    bench = Bench()
-    bench.driver.open()
-    bench.chip.brown_out()
+def test_lost_settings_are_noticed_within_a_tenth_of_a_second(opened: Bench) -> None:
+    opened.chip.brown_out()
     with pytest.raises(DeviceFault, match=r"CONF reads 0x0000 after 0x0300 was written; check supply"):
         for _ in range(21):
-            bench.clock.sleep(0.005)
-            bench.driver.read()
+            opened.clock.sleep(0.005)
+            opened.driver.read()
 
 
-def test_another_chip_at_the_address_is_refused() -> None:
-    bench = Bench()
-    bench.chip.held_at = 0xFF
-    with pytest.raises(DeviceAbsent, match="another chip is wired there"):
-        bench.driver.open()
-
-
-def test_another_driver_reads_the_emulated_chip_as_ours_does() -> None:
+def test_another_driver_reads_the_emulated_chip_as_ours_does(bench: Bench) -> None:
     library = pytest.importorskip("adafruit_as5600")
-    bench = Bench()
     bench.angle = 1.234
     ours = bench.driver.open()
     theirs = library.AS5600(Busio(bench.chip))

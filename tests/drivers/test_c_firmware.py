@@ -50,6 +50,12 @@ def rx(t_us: int, *messages) -> Event:
     return Event(t_us, "rx", b"".join(map(encode, messages)).hex())
 
 
+def heard(end: Answer, kind: type, node: int | None = None) -> list[Any]:
+    """The messages of a kind among all bytes sent."""
+    codec: Any = CanCodec(node) if node else Decoder()
+    return [m for m in codec.feed(split(end.sent) if node else end.sent) if isinstance(m, kind)]
+
+
 def compare(script: list[Event], end_us: int, node: int | None = None) -> Answer:
     expected, boots = emulate(script, end_us, node)
     got = run_core(script, end_us, boots, node)
@@ -82,9 +88,8 @@ def test_a_scripted_session_byte_for_byte() -> None:
         Event(1_100_000, "reboot"), rx(1_100_000, Arm(100)), rx(1_101_000, TorqueCommand(9, 0.5)),
     ]
     end = compare(script, 2_300_000)
-    kinds = [type(m) for m in Decoder().feed(end.sent)]
-    assert kinds.count(Hello) == 5  # boot, asked for, 1 s, second boot, 1 s after it
-    reports = [(m.fault, round(m.value, 6)) for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
+    assert len(heard(end, Hello)) == 5  # boot, asked for, 1 s, second boot, 1 s after it
+    reports = [(m.fault, round(m.value, 6)) for m in heard(end, FaultReport)]
     assert [f for f, _ in reports] == [1, 1, 128, 1, 1]
     assert reports[2] == (128, 2.000001)
     assert end[1:] == (int(State.FAULT), 0, (0, 0, 0), 0)
@@ -104,26 +109,24 @@ def test_every_cause_latches_alike(name: str, value: int, good: int, fault: Faul
               rx(14_000, Stop(), ClearFaults(), Arm(50)), Event(20_000, "set", name, good),
               rx(24_000, ClearFaults(), Arm(50))]
     end = compare(script, 30_000)
-    reports = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
+    reports = heard(end, FaultReport)
     assert {m.fault for m in reports} == ({int(fault)} if fault else set())
-    if shown is not None:
-        assert {m.value for m in reports} == {shown}
+    assert shown is None or {m.value for m in reports} == {shown}
     assert end.state == State.ARMED
-    if fault:
-        assert not any(m.torque_cmd_nm for m in Decoder().feed(end.sent) if isinstance(m, Telemetry) and m.faults)
+    assert not any(m.torque_cmd_nm for m in heard(end, Telemetry) if m.faults)
 
 
 @pytest.mark.parametrize("node", [None, 3])
 def test_the_estop_input_is_in_every_telemetry_and_nothing_arms_under_it(node: int | None) -> None:
     codec: Any = CanCodec(3) if node else Decoder()
-    sent = [Event(2_000, "set", "estop", 1), Event(3_000, "rx", "1"), Event(9_000, "rx", "2"),
-            Event(20_000, "set", "estop", 0), Event(23_000, "rx", "3")]
-    said = {"1": (Arm(50),), "2": (Stop(), ClearFaults(), Arm(50)),
-            "3": (ClearFaults(), Arm(50), TorqueCommand(0, 0.5))}
-    script = [e if e.verb == "set" else Event(e.t_us, "rx", as_bytes(codec.encode(m)).hex())
-              for e in sent for m in (said[e.what] if e.verb == "rx" else (None,))]
+
+    def said(t_us: int, *messages: Message) -> list[Event]:
+        return [Event(t_us, "rx", as_bytes(codec.encode(m)).hex()) for m in messages]
+
+    script = [Event(2_000, "set", "estop", 1), *said(3_000, Arm(50)), *said(9_000, Stop(), ClearFaults(), Arm(50)),
+              Event(20_000, "set", "estop", 0), *said(23_000, ClearFaults(), Arm(50), TorqueCommand(0, 0.5))]
     end = compare(script, 30_000, node)
-    frames = [m for m in codec.feed(split(end.sent) if node else end.sent) if isinstance(m, Telemetry)]
+    frames = heard(end, Telemetry, node)
     assert [m.estop_open for m in frames] == [2_000 < m.tick_us - frames[0].tick_us + 2_000 <= 20_000 for m in frames]
     assert end.state == State.ARMED and end.torque_unm == 500_000
 
@@ -135,7 +138,7 @@ def test_torque_shrinks_towards_a_limit_and_is_whole_away_from_it() -> None:
               Event(24_000, "set", "knee_speed", 36_000_000), rx(27_000, TorqueCommand(2, 1.0)),
               Event(30_000, "set", "knee_speed", -39_999_999)]
     end = compare(script, 40_000)
-    torques = [m.torque_cmd_nm for m in Decoder().feed(end.sent) if isinstance(m, Telemetry)]
+    torques = [m.torque_cmd_nm for m in heard(end, Telemetry)]
     changes = [b for a, b in zip([None, *torques], torques) if a != b]
     assert changes == [1.0, 0.499996, 0.003333, -1.0, -0.666666, -1.0, 0.5, 1.0]
 
@@ -147,15 +150,13 @@ def test_reactions_of_the_drive(reaction: Reaction) -> None:
               Event(10_000, "set", "angle", 100_000), Event(30_000, "set", "angle", 140_003),
               Event(40_000, "set", "knee_speed", 1_000_001), Event(60_000, "set", "bus_mv", 9_000)]
     end = compare(script, 100_000)
-    after = [m for m in Decoder().feed(end.sent) if isinstance(m, Telemetry) and m.faults == Fault.WATCHDOG]
-    held = sorted({m.torque_cmd_nm for m in after})
-    assert held == ([-1.5, -0.80006, 0.0] if reaction == Reaction.HOLD else [0.0])
+    held = {m.torque_cmd_nm for m in heard(end, Telemetry) if m.faults == Fault.WATCHDOG}
+    assert sorted(held) == ([-1.5, -0.80006, 0.0] if reaction == Reaction.HOLD else [0.0])
     assert end.torque_unm == 0
     lines = [f"0 set reaction {int(reaction)}", f"0 rx {encode(Arm(20)).hex()}"]
     bridge = {Reaction.LIMP: 0, Reaction.BRAKE: 2, Reaction.HOLD: 1}[reaction]
     assert [run_script([*lines, f"{t} end"])[2][2] for t in (10_000, 60_000)] == [1, bridge]
-    stopped = [*lines, f"50000 rx {encode(Stop()).hex()}", "60000 end"]
-    assert run_script(stopped)[2][2] == 0
+    assert run_script([*lines, f"50000 rx {encode(Stop()).hex()}", "60000 end"])[2][2] == 0
     assert run_script([*lines, "600000 end"])[2][2] == (2 if reaction == Reaction.BRAKE else 0)
 
 
@@ -166,7 +167,7 @@ def test_a_command_is_as_old_as_the_telemetry_that_it_answers() -> None:
     script = [rx(0, Arm(20)), timed(1_000, 1, -1), timed(15_000, 2, 6), timed(16_500, 3, 60_000), timed(25_000, 4, 1),
               timed(25_500, 5, 2), rx(26_000, TorqueCommand(9, 0.9)), timed(26_500, 10, 13)]
     end = compare(script, 30_000)
-    torques = {m.torque_cmd_nm for m in Decoder().feed(end.sent) if isinstance(m, Telemetry)}
+    torques = {m.torque_cmd_nm for m in heard(end, Telemetry)}
     assert torques == {0.1, 0.2, 0.5} and end.late == 4 and end.torque_unm == 500_000
     late = [*script, *[timed(32_000 + 500 * k, 20 + k, 12) for k in range(200)]]  # a buffer that empties
     assert compare(late, 140_000).state == State.FAULT
@@ -176,8 +177,8 @@ def test_what_the_drive_says_of_itself() -> None:
     for node in (None, 3):
         codec: Any = CanCodec(3) if node else Decoder()
         end = compare([Event(1_000, "rx", as_bytes(codec.encode(LimitsRequest())).hex())], 2_000, node)
-        (limits,) = [m for m in codec.feed(split(end.sent) if node else end.sent) if isinstance(m, DriveLimits)]
-        assert limits == DriveLimits(Feature.TIMED_COMMANDS | Feature.ESTOP_INPUT, Reaction.LIMP, 40.0, -6.28, 6.28)
+        assert heard(end, DriveLimits, node) == [
+            DriveLimits(Feature.TIMED_COMMANDS | Feature.ESTOP_INPUT, Reaction.LIMP, 40.0, -6.28, 6.28)]
 
 
 def test_torque_is_zero_in_time_where_nobody_polls_or_samples() -> None:
@@ -244,11 +245,9 @@ def random_script(rng: np.random.Generator, seconds: float) -> list[Event]:
             script.append(Event(t, "reboot"))
         elif dice < 0.8:
             seq += int(rng.choice([1, 1, 1, 1, 0, 2, -3, 40_000]))
-            torque = int(rng.integers(-500_200, 500_200)) * 4e-6
+            command = seq % 65536, int(rng.integers(-500_200, 500_200)) * 4e-6
             seen = (t // 2_000 - int(rng.choice([1, 1, 1, 9, 60]))) % 65536
-            timed = rng.random() < 0.3
-            number = seq % 65536
-            script.append(rx(t, TimedCommand(number, torque, seen) if timed else TorqueCommand(number, torque)))
+            script.append(rx(t, TimedCommand(*command, seen) if rng.random() < 0.3 else TorqueCommand(*command)))
         else:
             down: list[Message] = [Arm(int(rng.choice([4, 5, 20, 100, 1000, 1001]))), Stop(), ClearFaults(),
                                    HelloRequest(), LimitsRequest(), Ping(int(rng.integers(65536)))]
@@ -270,21 +269,16 @@ def broken(rng: np.random.Generator, data: bytes) -> bytes:
             out[at] ^= 1 << int(rng.integers(8))
         elif kind == 1 and len(out) > 1:
             del out[at]
-        elif kind == 2:
-            out[at:at] = out[at: at + 5]
         else:
-            out[at:at] = rng.bytes(int(rng.integers(1, 90)))
+            out[at:at] = out[at: at + 5] if kind == 2 else rng.bytes(int(rng.integers(1, 90)))
     return bytes(out)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_random_sessions_byte_for_byte(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    script = random_script(rng, 2.5)
-    boots = [event.t_us for event in script if event.verb == "reboot"]
+    script = random_script(np.random.default_rng(seed), 2.5)
     # The first frame after a boot may be the tail of one under way, which the emulator does not count.
-    for t in [0, *boots]:
-        script.append(rx(t, Stop()))
+    script += [rx(0, Stop()), *(rx(event.t_us, Stop()) for event in script if event.verb == "reboot")]
     script.sort(key=lambda event: (event.t_us, event.verb != "reboot", event.what != encode(Stop()).hex()))
     end = compare(script, 2_600_000)
     kinds = {type(m) for m in Decoder().feed(end.sent)}
@@ -320,8 +314,7 @@ def test_random_sessions_on_can_byte_for_byte(seed: int) -> None:
 def test_readings_beyond_their_field_are_invalid_on_can() -> None:
     script = [Event(0, "set", "knee_hall", LOST), Event(0, "set", "motor_cdegc", 2_500)]
     end = compare(script, 4_000, 3)
-    (first, *_) = [m for m in CanCodec(3).feed(split(end.sent)) if isinstance(m, Telemetry)]
-    assert np.isnan(first.knee_hall_rad)
+    assert np.isnan(heard(end, Telemetry, 3)[0].knee_hall_rad)
 
 
 def split(sent: bytes) -> list[CanFrame]:
@@ -339,7 +332,5 @@ def test_the_most_negative_torque_is_beyond_the_limit() -> None:
     frame = b"\x01\x00\x00\x00\x00\x00\x80"
     stuffed = cobs_by_hand(frame + crc_ccitt_false(frame).to_bytes(2, "little"))
     end = compare([rx(0, Arm(100)), Event(500, "rx", stuffed.hex())], 4_000)
-    (report,) = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
-    assert report.fault == Fault.COMMAND_LIMIT
-    assert np.isnan(report.value)
-    assert end.torque_unm == 0
+    (report,) = heard(end, FaultReport)
+    assert report.fault == Fault.COMMAND_LIMIT and np.isnan(report.value) and end.torque_unm == 0

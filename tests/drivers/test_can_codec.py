@@ -45,40 +45,26 @@ def test_telemetry_that_lacks_a_part_is_lost_whole_and_counted(part: int) -> Non
     codec, sent = CanCodec(), [replace(TELEMETRY, seq=k) for k in range(3)]
     wire = frames(*sent)
     del wire[4 + part]
-    assert codec.feed(wire) == [sent[0], sent[2]]
-    assert codec.lost == 1
-    assert codec.bad_crc == (1 if part else 3)
+    assert codec.feed(wire) == [sent[0], sent[2]] and codec.lost == 1 and codec.bad_crc == (1 if part else 3)
 
 
-def test_parts_of_two_periods_are_never_joined() -> None:
+WIRE, LATER = frames(TELEMETRY), frames(replace(TELEMETRY, seq=8, knee_rad=1.0))
+OTHERS: list[Message] = [Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0)]
+
+
+@pytest.mark.parametrize("arrived, got, bad", [
+    ([*WIRE[:2], *LATER[2:]], [], 2), ([*WIRE[:2], WIRE[1], *WIRE[2:], WIRE[3]], [TELEMETRY], 2),
+    (WIRE[2:] + frames(HELLO)[1:] + WIRE, [TELEMETRY], 0),
+    ([WIRE[0], *frames(*OTHERS), *WIRE[1:]], [*OTHERS, TELEMETRY], 0)],
+    ids=["parts of two periods", "a part twice", "tail of a message under way", "other messages in between"])
+def test_parts_are_joined_only_where_they_belong(arrived: list[CanFrame], got: list[Message], bad: int) -> None:
     codec = CanCodec()
-    first, second = frames(replace(TELEMETRY, seq=1)), frames(replace(TELEMETRY, seq=2, knee_rad=1.0))
-    assert codec.feed([*first[:2], *second[2:]]) == []
-    assert codec.bad_crc == 2
-
-
-def test_a_part_twice_is_dropped_and_counted() -> None:
-    codec, wire = CanCodec(), frames(TELEMETRY)
-    assert codec.feed([wire[0], wire[1], wire[1], wire[2], wire[3], wire[3]]) == [TELEMETRY]
-    assert codec.bad_crc == 2
-
-
-def test_the_tail_of_a_message_under_way_is_not_an_error() -> None:
-    codec = CanCodec()
-    assert codec.feed(frames(TELEMETRY)[2:] + frames(HELLO)[1:] + frames(TELEMETRY)) == [TELEMETRY]
-    assert codec.bad_crc == 0
-
-
-def test_other_messages_may_come_in_between() -> None:
-    codec, wire = CanCodec(), frames(TELEMETRY)
-    between = frames(Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0))
-    assert codec.feed([wire[0], *between, *wire[1:]]) == [Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0), TELEMETRY]
+    assert codec.feed(arrived) == got and codec.bad_crc == bad
 
 
 def test_frames_of_others_are_passed_over_and_wrong_ones_counted() -> None:
     codec = CanCodec(2)
-    assert codec.feed(frames(TELEMETRY, node=3)) == []
-    assert (codec.bad_crc, codec.bad_length, codec.unknown) == (0, 0, 0)
+    assert codec.feed(frames(TELEMETRY, node=3)) == [] and not codec.bad_crc + codec.bad_length + codec.unknown
     codec.feed(frames(TELEMETRY, node=2))
     codec.feed([CanFrame(2 << 5 | 31, b""), CanFrame(2 << 5 | 12, b"\0" * 7), CanFrame(2 << 5 | 13, b"\0" * 8)])
     assert (codec.bad_crc, codec.bad_length, codec.unknown) == (1, 1, 1)
@@ -89,8 +75,7 @@ def test_what_does_not_fit() -> None:
         with pytest.raises(ValueError, match=r"cannot be sent|does not fit"):
             CanCodec().encode(bad)
     (back,) = CanCodec().feed(frames(replace(TELEMETRY, knee_rad=200.0)))
-    assert isinstance(back, Telemetry)
-    assert math.isnan(back.knee_rad)
+    assert isinstance(back, Telemetry) and math.isnan(back.knee_rad)
     with pytest.raises(ValueError, match="node 64"):
         CanCodec(64)
 

@@ -1,6 +1,5 @@
 """Section 10 of firmware_protocol.md against leg.dbc, the codec, and itself. Bits are packed here a second time."""
 
-import math
 import re
 from typing import NamedTuple
 
@@ -34,9 +33,9 @@ def examples() -> dict[str, Example]:
         can_id, node, number = next(m.groups() for line in lines if (m := IDENTIFIER.match(line)))
         fields = [(int(m[1]), int(m[2]), m[3], int(m[4], 16), m[5]) for line in lines if (m := FIELD.match(line))]
         cid, size, data = next(m.groups() for line in lines if (m := FRAME.match(line)))
-        assert int(size) == len(bytes.fromhex(data))
-        found[lines[0].strip()] = Example(int(can_id, 16), int(node), int(number), fields,
-                                          CanFrame(int(cid, 16), bytes.fromhex(data)))
+        frame = CanFrame(int(cid, 16), bytes.fromhex(data))
+        found[lines[0].strip()] = Example(int(can_id, 16), int(node), int(number), fields, frame)
+        assert int(size) == len(frame.data)
     return found
 
 
@@ -63,11 +62,6 @@ def messages() -> dict[str, tuple[protocol.Message, list[CanFrame]]]:
 MESSAGES = messages()
 
 
-def same(a: protocol.Message, b: protocol.Message) -> bool:
-    return type(a) is type(b) and all(
-        x == y or (math.isnan(x) and math.isnan(y)) for x, y in zip(vars(a).values(), vars(b).values()))
-
-
 def test_every_frame_has_an_example_and_every_message_its_frames() -> None:
     assert set(EXAMPLES) == {m.name for m in DBC.messages}
     assert {name for parts in PARTS.values() for name in parts} == set(EXAMPLES)
@@ -92,17 +86,14 @@ def test_example_agrees_with_itself(name: str) -> None:
 def test_codec_encodes_and_decodes_the_example(name: str) -> None:
     message, frames = MESSAGES[name]
     assert list(CanCodec(3).encode(message)) == frames
-    (back,) = CanCodec(3).feed(frames)
-    assert same(back, message)
+    assert list(map(str, CanCodec(3).feed(frames))) == [str(message)]  # NaN is no equal of itself
 
 
 def test_message_table_is_the_dbc() -> None:
     rows = re.findall(r"^\| (\d+) \| (\w+) \| (up|down) \| (\d) \|", TEXT, re.M)
     assert {(int(number), name, int(size), direction) for number, name, direction, size in rows} == {
         (m.frame_id, m.name, m.length, "up" if m.senders == ["LEG"] else "down") for m in DBC.messages}
-    for m in DBC.messages:
-        assert EXAMPLES[m.name].number == m.frame_id
-        assert not m.is_extended_frame
+    assert all(EXAMPLES[m.name].number == m.frame_id and not m.is_extended_frame for m in DBC.messages)
 
 
 def test_field_table_is_the_dbc() -> None:
@@ -111,10 +102,9 @@ def test_field_table_is_the_dbc() -> None:
     for message, field, start, length, signed, unit, invalid in rows:
         name = message or name
         s = DBC.get_message_by_name(name).get_signal_by_name(field)
-        assert (s.start, s.length, s.byte_order) == (int(start), int(length), "little_endian")
-        assert s.is_signed == (signed == "yes")
         factor = re.match(r"[\d.e-]+", unit)
-        assert s.scale == (float(factor[0]) if factor else 1.0)
+        assert (s.start, s.length, s.byte_order, s.is_signed, s.scale) == (
+            int(start), int(length), "little_endian", signed == "yes", float(factor[0]) if factor else 1.0)
         if s.unit:
             assert unit.split(maxsplit=1)[1] == s.unit
         marks = [number % 2**s.length for number, text in (s.choices or {}).items() if str(text) == "invalid"]

@@ -1,7 +1,5 @@
 """The current monitors: bytes against the data sheets and another driver, conversions, faults."""
 
-from typing import Any
-
 import pytest
 
 from drivers import CHIPS, CurrentShunt, DeviceAbsent
@@ -9,6 +7,7 @@ from drivers.current_shunt import AVERAGES, RAIL, STALE
 from drivers.errors import DeviceFault
 from drivers.mock import MockShunt, ShuntSettings, VirtualClock
 from tests.support.circuitpython import Busio
+from tests.support.spies import before
 
 KINDS = sorted(CHIPS)
 
@@ -16,11 +15,9 @@ KINDS = sorted(CHIPS)
 class Bench:
     """A shunt of 10 mOhm that carries `amperes` all the time."""
 
-    def __init__(self, kind: str, rate_hz: float = 200.0, **settings: Any) -> None:
-        self.clock = VirtualClock()
-        self.amperes = 0.0
-        self.chip = MockShunt(self.clock, lambda t_ns: self.amperes * t_ns * 1e-9, kind,
-                              ShuntSettings(noise_v=0.0, **settings))
+    def __init__(self, kind: str, rate_hz: float = 200.0) -> None:
+        self.kind, self.clock, self.amperes = kind, VirtualClock(), 0.0
+        self.chip = MockShunt(self.clock, lambda t_ns: self.amperes * t_ns * 1e-9, kind, ShuntSettings(noise_v=0.0))
         self.driver = CurrentShunt(self.chip, kind, 0.01, rate_hz, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
 
     def read(self, amperes: float) -> tuple[float, int]:
@@ -28,6 +25,14 @@ class Bench:
         self.clock.sleep(0.01)
         reading = self.driver.read()
         return reading.raw * self.driver.amperes_per_count, reading.flags
+
+
+@pytest.fixture(params=KINDS)
+def bench(request: pytest.FixtureRequest) -> Bench:
+    """Open."""
+    bench = Bench(request.param)
+    bench.driver.open()
+    return bench
 
 
 @pytest.mark.parametrize("kind, words", [
@@ -51,31 +56,22 @@ def test_a_rate_that_no_conversion_allows_is_refused() -> None:
         Bench("ina226", 5000.0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("amperes", [-7.9, -0.5, 0.0, 0.001, 2.5, 8.0])
-def test_current_of_both_signs_is_read_to_a_count(kind: str, amperes: float) -> None:
-    bench = Bench(kind)
-    bench.driver.open()
+def test_current_of_both_signs_is_read_to_a_count(bench: Bench, amperes: float) -> None:
     found, flags = bench.read(amperes)
-    assert found == pytest.approx(amperes, abs=0.51 * CHIPS[kind].volts_per_count / 0.01 + 1e-9) and not flags
+    assert found == pytest.approx(amperes, abs=0.51 * CHIPS[bench.kind].volts_per_count / 0.01 + 1e-9) and not flags
 
 
-@pytest.mark.parametrize("kind, range_a", [("ina226", 8.19), ("ina228", 16.38)])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_current_beyond_the_range_is_marked(kind: str, range_a: float, sign: int) -> None:
-    bench = Bench(kind)
-    bench.driver.open()
+def test_a_current_beyond_the_range_is_marked(bench: Bench, sign: int) -> None:
+    range_a = {"ina226": 8.19, "ina228": 16.38}[bench.kind]
     assert bench.driver.range_a == pytest.approx(range_a, abs=0.01)
-    assert bench.read(sign * 0.99 * range_a)[1] == 0
-    assert bench.read(sign * 1.01 * range_a)[1] == RAIL
+    assert [bench.read(sign * share * range_a)[1] for share in (0.99, 1.01)] == [0, RAIL]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_reading_is_the_mean_over_its_conversion(kind: str) -> None:
+def test_a_reading_is_the_mean_over_its_conversion(bench: Bench) -> None:
     """A ramp is read as what it was half a conversion before the conversion's end, which is at most one before."""
-    bench = Bench(kind)
     bench.chip._charge = lambda t_ns: 0.5 * (t_ns * 1e-9) ** 2  # a current of one ampere a second
-    bench.driver.open()
     t = bench.driver.conversion_s
     for k in range(50):
         bench.clock.sleep(0.005 + 1e-5 * k)
@@ -84,10 +80,7 @@ def test_a_reading_is_the_mean_over_its_conversion(kind: str) -> None:
         assert 0.5 * t - 1e-3 <= late <= 1.5 * t + 1e-3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_chip_that_stops_converting_is_noticed_at_once(kind: str) -> None:
-    bench = Bench(kind)
-    bench.driver.open()
+def test_a_chip_that_stops_converting_is_noticed_at_once(bench: Bench) -> None:
     assert bench.read(1.0)[1] == 0
     bench.chip.converting = False
     assert bench.read(1.0)[1] == STALE
@@ -95,29 +88,22 @@ def test_a_chip_that_stops_converting_is_noticed_at_once(kind: str) -> None:
         bench.driver.open()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_transfer_that_fails_between_flag_and_voltage_makes_nothing_stale(kind: str) -> None:
-    bench = Bench(kind)
-    bench.driver.open()
+def test_a_transfer_that_fails_between_flag_and_voltage_makes_nothing_stale(bench: Bench) -> None:
     bench.read(1.0)
-    real, count = bench.chip.i2c_rdwr, [0]
+    calls = []
 
     def second_fails(*messages: object) -> None:
-        count[0] += 1
-        if count[0] == 2:
+        calls.append(messages)
+        if len(calls) == 2:
             raise OSError(121, "injected")
-        real(*messages)
 
     bench.clock.sleep(0.005)
     bench.driver._check_due_ns = 10**18
-    bench.chip.i2c_rdwr = second_fails
-    assert bench.driver.read().flags == 0 and count[0] == 4
+    before(bench.chip, "i2c_rdwr", second_fails)
+    assert bench.driver.read().flags == 0 and len(calls) == 4
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_silence_and_lost_settings_are_said_with_a_remedy(kind: str) -> None:
-    bench = Bench(kind)
-    bench.driver.open()
+def test_silence_and_lost_settings_are_said_with_a_remedy(bench: Bench) -> None:
     bench.chip.fail(121, times=4)
     with pytest.raises(DeviceAbsent, match="at 0x40: no acknowledge; check wiring"):
         bench.driver.read()

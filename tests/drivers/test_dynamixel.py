@@ -2,8 +2,6 @@
 
 import math
 import struct
-import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +10,25 @@ import pytest
 from daq import parse_rig
 from daq.recording import record_run
 from daq.runs import read_run
-from drivers import DeviceAbsent, FaultReport, Hello, Wiring
+from drivers import DeviceAbsent
 from drivers import dynamixel as dxl
 from drivers.dynamixel import Address, Instruction
-from drivers.dynamixel_drive import DynamixelDrive, find_nodes
+from drivers.dynamixel_drive import find_nodes
 from drivers.errors import DeviceFault, ProtocolMismatch
-from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
+from drivers.mock import FirmwareSettings
 from drivers.mock.dynamixel_drive import MockDynamixel, new_table
-from tests.support.drive_bench import CONSTANT, DriveBench, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.drive_bench import (
+    CONSTANT,
+    DriveBench,
+    driven,
+    faults,
+    fed_in_pieces,
+    models_heard,
+    opened,
+    telemetry,
+)
 from tests.support.recordings import RIG, sine
+from tests.support.spies import before
 from tests.support.still_plant import StillPlant, StillState
 
 PRINTED = [
@@ -36,8 +44,8 @@ PRINTED = [
 ]
 
 
-@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
-def test_packets_are_those_that_the_e_manual_prints(what: str, made: bytes, printed: str) -> None:
+@pytest.mark.parametrize("made, printed", [row[1:] for row in PRINTED], ids=[row[0] for row in PRINTED])
+def test_packets_are_those_that_the_e_manual_prints(made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = dxl.Decoder().feed(made)
     assert one.ident == made[4] and one.instruction == made[7]
@@ -72,35 +80,16 @@ def test_broken_packets_are_counted_and_nothing_false_comes_through() -> None:
 # -- units ---------------------------------------------------------------------------------------------------
 
 
-def on_model(model: int, plant: StillPlant | None = None, **wiring: float) -> tuple[DriveBench, MockDynamixel]:
-    bench = DriveBench.__new__(DriveBench)
-    bench.wiring = Wiring(node=1, rate_hz=250.0, torque_constant_nm_per_a=CONSTANT, **wiring)  # type: ignore[arg-type]
-    bench.clock = VirtualClock()
-    settings, number = FirmwareSettings(torque_constant_nm_per_a=CONSTANT), model
-
-    class Emulated(MockDynamixel):
-        model = number
-
-    def make(settings: FirmwareSettings, seed: int, t_ns: int, advance: Callable[[int], None],
-             lock: threading.RLock) -> MockDynamixel:
-        return Emulated(settings, bench.wiring, seed, t_ns, advance, lock)
-
-    bench.rig = MockRig(plant or StillPlant(), bench.clock, firmware=settings, seed=1, make=make)
-    bench.far = bench.rig.drive
-    bench.link = EmulatorLink(bench.far, bench.clock, seed=1, nothing=b"")
-    bench.drive = DynamixelDrive(bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
-    return bench, bench.far
-
-
 @pytest.mark.parametrize("model", sorted(dxl.MODELS))
 @pytest.mark.parametrize("turns", [1.0, -1.0])
-def test_units_of_every_model(model: int, turns: float) -> None:
+def test_units_of_every_model(model: int, turns: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A goal in counts of this model is the torque that was asked for, to half a count, and so is the reading."""
-    bench, far = on_model(model, StillPlant(StillState(q2=-0.7)), turns=turns)
+    monkeypatch.setattr(MockDynamixel, "model", model)
+    bench = DriveBench("dynamixel", StillPlant(StillState(q2=-0.7)), gear_ratio=1.0, turns=turns)
     bench.armed()
     bench.run(0.1, 0.6)
     unit = dxl.MODELS[model].current_a
-    goal = struct.unpack_from("<h", far.table, Address.GOAL_CURRENT)[0]
+    (goal,) = struct.unpack_from("<h", bench.far.table, Address.GOAL_CURRENT)
     assert goal == math.copysign(round(0.6 / CONSTANT / unit), turns)
     assert bench.rig.drive.motor.last_mean_nm == pytest.approx(0.6, abs=0.51 * unit * CONSTANT)
     seen = telemetry(bench.run(0.2, 0.6))
@@ -111,8 +100,7 @@ def test_units_of_every_model(model: int, turns: float) -> None:
 
 def test_positions_go_on_over_many_turns_and_below_zero() -> None:
     for angle in (-300.0, -3.2, 3.2, 300.0):
-        bench, _ = on_model(1200, StillPlant(StillState(q2=angle)))
-        bench.drive.open()
+        bench = opened("dynamixel", StillPlant(StillState(q2=angle)), gear_ratio=1.0, turns=1.0)
         assert telemetry(bench.run(0.05))[-1].knee_rad == pytest.approx(angle, abs=math.pi / dxl.COUNTS)
 
 
@@ -131,30 +119,22 @@ def test_no_command_goes_out_between_a_request_and_its_answer() -> None:
     """On a line of half duplex they would collide."""
     bench = DriveBench("dynamixel")
     bench.armed(1000)
-    sent: list[tuple[int, bytes]] = []
-    write, transmit = bench.link.write, bench.far.transmit
-    answered: list[int] = []
-
-    def spy(data: bytes) -> None:
-        sent.append((bench.clock.now_ns(), data))
-        write(data)
-
+    sent, answered, transmit = list[tuple[int, bytes]](), list[int](), bench.far.transmit
     def heard(until_ns: int) -> list[tuple[int, bytes]]:
         out = transmit(until_ns)
         answered.extend(t_ns for t_ns, _ in out)
         return out
 
-    bench.link.write = spy
     bench.far.transmit = heard
+    before(bench.link, "write", lambda data: sent.append((bench.clock.now_ns(), data)))
     for k in range(200):
         bench.drive.command(0.001 * k)
         bench.drive.poll()
-    reads = [t for t, data in sent if data.endswith(dxl.read(1, 64, 83))]
-    writes = [t for t, data in sent if not data.endswith(dxl.read(1, 64, 83))]
-    assert len(reads) > 20
-    for asked in reads:
-        reply = min((t for t in answered if t > asked), default=asked)
-        assert not any(asked < t < reply for t in writes)
+    asked, commanded = ([t for t, data in sent if data.endswith(dxl.read(1, 64, 83)) is read] for read in (True, False))
+    assert len(asked) > 20
+    for since in asked:
+        reply = min((t for t in answered if t > since), default=since)
+        assert not any(since < t < reply for t in commanded)
 
 
 def test_two_on_a_line_do_not_disturb_each_other() -> None:
@@ -190,17 +170,15 @@ def test_what_it_cannot_work_with_is_refused_with_a_remedy(at: int, data: bytes,
 
 def test_another_operating_mode_becomes_current_control() -> None:
     bench = DriveBench("dynamixel")
-    bench.far.table[Address.OPERATING_MODE] = 3
-    bench.far.table[Address.TORQUE_ENABLE] = 1  # somebody left it holding a position
+    table = bench.far.table
+    table[Address.OPERATING_MODE], table[Address.TORQUE_ENABLE] = 3, 1  # somebody left it holding a position
     bench.drive.open()
-    assert bench.far.table[Address.OPERATING_MODE] == dxl.CURRENT_MODE and not bench.far.table[Address.TORQUE_ENABLE]
+    assert table[Address.OPERATING_MODE] == dxl.CURRENT_MODE and not table[Address.TORQUE_ENABLE]
     bench.armed()
 
 
 def test_a_hardware_error_goes_by_a_reboot_only() -> None:
-    bench = DriveBench("dynamixel")
-    bench.armed()
-    bench.run(0.05, 0.5)
+    bench = driven("dynamixel")
     bench.far.driver_ok = False
     bench.run(0.05, 0.5)
     bench.far.driver_ok = True
@@ -214,32 +192,13 @@ def test_a_hardware_error_goes_by_a_reboot_only() -> None:
     assert telemetry(bench.run(0.1, 0.4))[-1].torque_cmd_nm == 0.4
 
 
-def test_readings_that_stand_still_are_no_telemetry() -> None:
-    bench = opened("dynamixel")
-    bench.run(0.1)
-    bench.far.stuck = True
-    bench.run(0.02)
-    assert not telemetry(bench.run(0.2)) and bench.drive.stats.bad_crc > 5
-
-
-def test_a_reboot_on_the_way_is_told_and_the_torque_stays_off() -> None:
-    bench = DriveBench("dynamixel")
-    bench.armed()
-    bench.run(0.2, 0.5)
-    bench.far.power_cycle()
-    received = bench.run(0.1, 0.5)
-    assert any(isinstance(one.message, Hello) for one in received) and bench.drive.stats.reboots == 1
-    assert bench.far.torque_nm == 0.0 and not bench.drive.armed
-
-
 def test_polls_alone_do_not_keep_the_torque_on() -> None:
     """Its watchdog counts any instruction: the driver falls silent where commands stop."""
     bench = DriveBench("dynamixel")
     bench.armed(100)
     bench.run(0.1, 1.0)
     since = bench.clock.now_ns()
-    reports = [one.message for one in bench.run(0.3) if isinstance(one.message, FaultReport)]
-    assert bench.zero_after(since) <= 0.1 and len(reports) == 1
+    assert len(faults(bench.run(0.3))) == 1 and bench.zero_after(since) <= 0.1
     assert bench.far.table[Address.BUS_WATCHDOG] == dxl.WATCHDOG_ERROR
 
 
@@ -250,8 +209,8 @@ def test_a_plan_is_recorded_over_it_without_a_lost_sample(tmp_path: Path) -> Non
     report = record_run(tmp_path / "r.mcap", parse_rig(text), text, sine(0.8), None, bench.drive, bench.clock.now_ns,
                         threaded=False)
     raw = read_run(tmp_path / "r.mcap")
-    telemetry_seen = raw.streams["/leg/telemetry"]
+    seen = raw.streams["/leg/telemetry"]
     assert [event.kind for event in raw.events] == ["start", "stop"] and bench.drive.stats.lost == 0
-    assert (np.diff(telemetry_seen["seq"].astype(int)) == 1).all()
-    assert telemetry_seen.size == pytest.approx(2.1 * 250, rel=0.05) and report.clock_bound_s < 1e-3
+    assert (np.diff(seen["seq"].astype(int)) == 1).all()
+    assert seen.size == pytest.approx(2.1 * 250, rel=0.05) and report.clock_bound_s < 1e-3
     assert bench.far.torque_nm == 0.0

@@ -5,40 +5,27 @@ from typing import Any
 
 import pytest
 
-from drivers import Wiring
 from drivers import dynamixel as dxl
 from drivers.dynamixel import Address
-from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
-from drivers.mock.dynamixel_drive import MockDynamixel, new_table
+from drivers.mock.dynamixel_drive import new_table
 from tests.support.processes import REAL_CLOCK
-from tests.support.recorded_port import RecordedPort
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.recorded_port import RecordedPort, servo_line
 
 sdk = pytest.importorskip("dynamixel_sdk")
 pytestmark = REAL_CLOCK
 
 
 @pytest.fixture
-def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[MockDynamixel, Any, Any]]:
+def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any, Any]]:
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 300)  # a loaded machine answers late
-    wiring = Wiring(node=3, rate_hz=250.0)
-    rig = MockRig(StillPlant(StillState(q2=1.0)), RealClock(), firmware=FirmwareSettings(), make=lambda *given:
-                  MockDynamixel(given[0], wiring, *given[1:]))
-    drive: Any = rig.drive
-    drive.others[4] = new_table(4, 1200)
-    with PtyServer(drive, rig.clock) as server:
-        port, handler = sdk.PortHandler(server.path), sdk.PacketHandler(2.0)
-        assert port.openPort()
-        yield drive, port, handler
-        port.closePort()
+    with servo_line("dynamixel", new_table(4, 1200), sdk) as (drive, port):
+        yield drive, port, sdk.PacketHandler(2.0)
 
 
-def test_the_library_reads_and_writes_the_emulated_drive(far: tuple[MockDynamixel, Any, Any]) -> None:
+def test_the_library_reads_and_writes_the_emulated_drive(far: tuple[Any, Any, Any]) -> None:
     drive, port, handler = far
-    model, result, error = handler.ping(port, 3)
-    assert (model, result, error) == (1040, sdk.COMM_SUCCESS, 0)
-    position, result, error = handler.read4ByteTxRx(port, 3, Address.PRESENT_POSITION)
-    assert (position, result, error) == (round(4096 / 6.283185307), sdk.COMM_SUCCESS, 0)
+    assert handler.ping(port, 3) == (1040, sdk.COMM_SUCCESS, 0)
+    assert handler.read4ByteTxRx(port, 3, Address.PRESENT_POSITION) == (round(4096 / 6.283185307), sdk.COMM_SUCCESS, 0)
     assert handler.write1ByteTxRx(port, 3, Address.TORQUE_ENABLE, 1) == (sdk.COMM_SUCCESS, 0)
     assert handler.write2ByteTxRx(port, 3, Address.GOAL_CURRENT, 100) == (sdk.COMM_SUCCESS, 0)
     assert drive.table[Address.TORQUE_ENABLE] == 1 and drive.torque_nm > 0.0
@@ -51,7 +38,7 @@ def test_the_library_reads_and_writes_the_emulated_drive(far: tuple[MockDynamixe
     assert handler.reboot(port, 3)[0] == sdk.COMM_SUCCESS and drive.table[Address.TORQUE_ENABLE] == 0
 
 
-def test_its_sync_read_finds_both_and_its_broadcast_ping_all(far: tuple[MockDynamixel, Any, Any]) -> None:
+def test_its_sync_read_finds_both_and_its_broadcast_ping_all(far: tuple[Any, Any, Any]) -> None:
     _, port, handler = far
     group = sdk.GroupSyncRead(port, handler, Address.MODEL_NUMBER, 2)
     assert group.addParam(3) and group.addParam(4)
@@ -71,7 +58,7 @@ def test_we_build_what_it_builds_byte_for_byte() -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xfd\x00", b"\x00\xff\xff\xfd", b"\xff\xff\xfd\xfd"])
-def test_stuffing_is_the_librarys(far: tuple[MockDynamixel, Any, Any], data: bytes) -> None:
+def test_stuffing_is_the_librarys(far: tuple[Any, Any, Any], data: bytes) -> None:
     """What it stuffs, and what it reads of ours. (Version 4.1 stuffs and then sends the packet as it was.)"""
     drive, port, handler = far
     made = dxl.silent_write(9, 116, data)

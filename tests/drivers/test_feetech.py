@@ -6,14 +6,14 @@ import struct
 import numpy as np
 import pytest
 
-from drivers import FaultReport
 from drivers import feetech as sts
 from drivers.errors import ProtocolMismatch
 from drivers.feetech import Address, Instruction
 from drivers.feetech_drive import find_nodes
 from drivers.mock.feetech_drive import new_table
 from drivers.protocol import Fault
-from tests.support.drive_bench import DriveBench, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.drive_bench import DriveBench, faults, fed_in_pieces, models_heard, opened, telemetry
+from tests.support.spies import recorded
 from tests.support.still_plant import MovingPlant, StillPlant, StillState
 
 PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
@@ -24,8 +24,8 @@ PRINTED = [("ping of 1", sts.packet(1, Instruction.PING), "FF FF 01 02 01 FB"),
 """As Feetech's "SCS Communication Protocol Manual" prints them."""
 
 
-@pytest.mark.parametrize("what, made, printed", PRINTED, ids=[what for what, _, _ in PRINTED])
-def test_packets_are_those_that_the_manual_prints(what: str, made: bytes, printed: str) -> None:
+@pytest.mark.parametrize("made, printed", [row[1:] for row in PRINTED], ids=[row[0] for row in PRINTED])
+def test_packets_are_those_that_the_manual_prints(made: bytes, printed: str) -> None:
     assert made == bytes.fromhex(printed)
     (one,) = sts.Decoder().feed(made)
     assert (one.ident, one.code, one.params) == (made[2], made[4], made[5:-1])
@@ -104,44 +104,35 @@ def test_it_is_off_after(way: str) -> None:
     bench.run(0.02)
     running(bench)
     getattr(bench.drive, way)()
-    bench.clock.advance(3_000_000)
-    bench.far.transmit(bench.clock.now_ns())
+    bench.alone(0.003)
     assert bench.far.torque_nm == 0.0
 
 
 def test_no_byte_of_the_driver_turns_it_on() -> None:
-    bench, sent = DriveBench("feetech"), []
-    write = bench.link.write
-
-    def spy(data: bytes) -> None:
-        sent.append(data)
-        write(data)
-
-    bench.link.write = spy
+    bench = DriveBench("feetech")
+    sent = recorded(bench.link, "write")
     bench.drive.open()
     bench.run(0.1, 0.5)
     bench.drive.stop()
     bench.drive.clear_faults()
     bench.run(0.1, 0.5)
     bench.drive.close()
-    decoder = sts.Decoder()
-    seen = [one for data in sent for one in decoder.feed(data)]
-    writes = [one.params for one in seen if one.code not in (Instruction.READ, Instruction.PING)]
+    writes = [one.params for one in sts.Decoder().feed(b"".join(data for (data,) in sent))
+              if one.code not in (Instruction.READ, Instruction.PING)]
     assert len(writes) >= 4 and set(writes) == {bytes([Address.TORQUE_ENABLE, 1, 1, 0])}
 
 
-@pytest.mark.parametrize("break_it, fault, said", [
-    (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER, "magnetic encoder"),
-    (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE, "input voltage"),
-    (lambda far: setattr(far, "bus_v", 25.4), Fault.OVERVOLTAGE, "input voltage"),
-    (lambda far: setattr(far, "degc", 120.0), Fault.OVERTEMPERATURE, "overheating"),
-    (lambda far: setattr(far, "driver_ok", False), Fault.OVERCURRENT, "overcurrent")])
-def test_its_faults_have_our_names(break_it: object, fault: Fault, said: str) -> None:
+@pytest.mark.parametrize("part, state, fault, said", [
+    ("encoder_ok", False, Fault.KNEE_ENCODER, "magnetic encoder"),
+    ("bus_v", 10.0, Fault.UNDERVOLTAGE, "input voltage"),
+    ("bus_v", 25.4, Fault.OVERVOLTAGE, "input voltage"),
+    ("degc", 120.0, Fault.OVERTEMPERATURE, "overheating"),
+    ("driver_ok", False, Fault.OVERCURRENT, "overcurrent")])
+def test_its_faults_have_our_names(part: str, state: float, fault: Fault, said: str) -> None:
     bench = opened("feetech")
     bench.run(0.05)
-    break_it(bench.far)  # type: ignore[operator]
-    reports = [one.message for one in bench.run(0.1) if isinstance(one.message, FaultReport)]
-    assert [report.fault for report in reports] == [fault] and said in bench.drive.words
+    setattr(bench.far, part, state)
+    assert [report.fault for report in faults(bench.run(0.1))] == [fault] and said in bench.drive.words
 
 
 def test_another_model_is_refused_by_name() -> None:

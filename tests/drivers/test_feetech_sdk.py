@@ -6,35 +6,24 @@ from typing import Any
 
 import pytest
 
-from drivers import Wiring
 from drivers import feetech as sts
 from drivers.feetech import Address
-from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
-from drivers.mock.feetech_drive import MockFeetech, new_table
+from drivers.mock.feetech_drive import new_table
 from tests.support.processes import REAL_CLOCK
-from tests.support.recorded_port import RecordedPort
-from tests.support.still_plant import StillPlant, StillState
+from tests.support.recorded_port import RecordedPort, servo_line
 
 sdk = pytest.importorskip("scservo_sdk")
 pytestmark = REAL_CLOCK
 
 
 @pytest.fixture
-def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[MockFeetech, Any]]:
+def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 300)  # a loaded machine answers late
-    wiring = Wiring(node=3, rate_hz=200.0)
-    rig = MockRig(StillPlant(StillState(q2=1.0)), RealClock(), firmware=FirmwareSettings(), make=lambda *given:
-                  MockFeetech(given[0], wiring, *given[1:]))
-    drive: Any = rig.drive
-    drive.others[4] = new_table(4, 2825)
-    with PtyServer(drive, rig.clock) as server:
-        port = sdk.PortHandler(server.path)
-        assert port.openPort()
+    with servo_line("feetech", new_table(4, 2825), sdk) as (drive, port):
         yield drive, sdk.sms_sts(port)
-        port.closePort()
 
 
-def test_the_library_reads_and_writes_the_emulated_servo(far: tuple[MockFeetech, Any]) -> None:
+def test_the_library_reads_and_writes_the_emulated_servo(far: tuple[Any, Any]) -> None:
     drive, handler = far
     assert handler.ping(3) == (777, sdk.COMM_SUCCESS, 0)
     assert handler.ReadPos(3) == (round(4096 / 6.283185307), sdk.COMM_SUCCESS, 0)
@@ -53,7 +42,7 @@ def test_the_library_reads_and_writes_the_emulated_servo(far: tuple[MockFeetech,
     assert "voltage" in handler.getRxPacketError(error) and drive.table[Address.TORQUE_ENABLE] == 0
 
 
-def test_its_sync_read_finds_both(far: tuple[MockFeetech, Any]) -> None:
+def test_its_sync_read_finds_both(far: tuple[Any, Any]) -> None:
     _, handler = far
     group = sdk.GroupSyncRead(handler, Address.MODEL, 2)
     assert group.addParam(3) and group.addParam(4)

@@ -1,7 +1,7 @@
 """The document is the truth: its tables and hex examples against the codec, both ways."""
 
-import math
 import re
+import struct
 from dataclasses import fields
 
 import pytest
@@ -53,35 +53,24 @@ def test_check_value_of_the_crc_stands_in_the_document() -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_agrees_with_itself(name: str) -> None:
     rows = EXAMPLES[name]["rows"]
-    for raw, _, number, _ in rows:
-        assert int.from_bytes(bytes.fromhex(raw), "little") == int(number, 16)
-        assert len(number) == 2 + 2 * len(bytes.fromhex(raw))
-    *_, (_, crc_name, crc, _) = rows
-    payload = b"".join(bytes.fromhex(raw) for raw, *_ in rows[:-1])
-    assert crc_name == "crc"
-    assert int(crc, 16) == crc_ccitt_false(payload)
-    assert EXAMPLES[name]["frame"] == cobs_by_hand(payload + bytes.fromhex(rows[-1][0]))
+    data = [bytes.fromhex(raw) for raw, *_ in rows]
+    for raw, (_, _, number, _) in zip(data, rows):
+        assert number == f"0x{int.from_bytes(raw, 'little'):0{2 * len(raw)}X}"
+    payload, (_, last, crc, _) = b"".join(data[:-1]), rows[-1]
+    assert last == "crc" and int(crc, 16) == crc_ccitt_false(payload)
+    assert EXAMPLES[name]["frame"] == cobs_by_hand(payload + data[-1])
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_codec_encodes_the_example(name: str) -> None:
-    assert encode(message_of(name)).hex(" ").upper() == EXAMPLES[name]["frame"].hex(" ").upper()
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_codec_decodes_the_example(name: str) -> None:
-    (message,) = Decoder().feed(EXAMPLES[name]["frame"])
-    expected = message_of(name)
-    assert type(message) is type(expected)
-    for value, wanted in zip(vars(message).values(), vars(expected).values()):
-        assert value == wanted or (math.isnan(value) and math.isnan(wanted))
+def test_codec_encodes_and_decodes_the_example(name: str) -> None:
+    assert encode(message_of(name)).hex(" ") == EXAMPLES[name]["frame"].hex(" ")
+    assert list(map(str, Decoder().feed(EXAMPLES[name]["frame"]))) == [str(message_of(name))]  # as NaN has no equal
 
 
 def table_rows(title: str) -> list[list[str]]:
     section = TEXT.split(f"### {title}\n")[1].split("\n#")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines()
-            if line.startswith("|")]
-    return rows[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines()
+            if line.startswith("|")][2:]
 
 
 @pytest.mark.parametrize("name", ["Telemetry", "Hello", "Pong", "FaultReport"])
@@ -91,15 +80,14 @@ def test_field_tables_are_the_layout(name: str) -> None:
     assert [row[1] for row in rows] == [f.name for f in fields(kind)]
     offset = 1
     for position, ((code, scale), row) in enumerate(zip(protocol.LAYOUT[kind], rows)):
-        assert int(row[0]) == offset
-        assert SIZE[row[2]] == code
-        offset += {"B": 1, "H": 2, "h": 2, "I": 4, "i": 4}[code]
-        assert row[3].split()[0] == {None: row[3].split()[0], 1e-6: "1e-6", 1e-3: "1e-3", 0.01: "0.01"}[scale]
+        assert int(row[0]) == offset and SIZE[row[2]] == code
+        size = struct.calcsize(code)
+        offset += size
+        assert scale is None or row[3].split()[0] == {1e-6: "1e-6", 1e-3: "1e-3", 0.01: "0.01"}[scale]
         if scale is None or (kind, position) in protocol.NO_SENTINEL:
             assert row[4] == "-"
         else:
-            mask = 2**16 - 1 if code in "Hh" else 2**32 - 1
-            assert int(row[4], 16) == protocol.SENTINEL[code] & mask
+            assert int(row[4], 16) == protocol.SENTINEL[code] % 2**(8 * size)
 
 
 def test_message_table_gives_the_sizes() -> None:

@@ -39,18 +39,17 @@ def test_an_answer_that_was_given_up_is_not_the_next_ones(tmp_path: Path, monkey
         listener.listen()
         far = threading.Thread(target=serve, args=(listener, given_up, sent), daemon=True)
         far.start()
-        bus = SocketBus(str(tmp_path / "i2c"))
+        bus, message = SocketBus(str(tmp_path / "i2c")), i2c_msg.read(0x6B, 1)
         with pytest.raises(OSError) as late:
-            bus.i2c_rdwr(i2c_msg.read(0x6B, 1))
+            bus.i2c_rdwr(message)
         assert late.value.errno == errno.ETIMEDOUT
         given_up.set()
         sent.wait()
         monkeypatch.setattr(i2c_socket, "TIMEOUT_S", 10.0)
-        message = i2c_msg.read(0x6B, 1)
         bus.i2c_rdwr(message)
         assert bytes(message) == bytes([TRUE])
         with pytest.raises(OSError) as short:
-            bus.i2c_rdwr(i2c_msg.read(0x6B, 1))
+            bus.i2c_rdwr(message)
         assert short.value.errno == errno.EIO
         bus.close()
         far.join(10.0)

@@ -1,5 +1,7 @@
 """Magnetometer and self-test: bytes against the datasheet, limits against ST's example, faults said in words."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from smbus2 import i2c_msg
@@ -10,6 +12,7 @@ from drivers.mock import VirtualClock
 from drivers.mock.chip import MockBus
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from tests.support.mock_magnetometer import MockMagnetometer
+from tests.support.spies import before
 
 
 class Bench:
@@ -21,7 +24,8 @@ class Bench:
         self.ag = MockLsm9ds1(self.clock, advance=self.advance)
         self.bus = MockBus([self.mag, self.ag])
         self.next_ns = 0.0
-        self.driver = Magnetometer(self.bus, config=config, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
+        self.times: dict[str, Any] = {"now_ns": self.clock.now_ns, "sleep": self.clock.sleep}
+        self.driver = Magnetometer(self.bus, config=config, **self.times)
         self.self_test = SelfTest(self.bus, self.clock.sleep, self.clock.now_ns)
 
     def advance(self, t_ns: int) -> None:
@@ -36,20 +40,30 @@ class Bench:
         return bytes(reply)[0]
 
 
-def test_configuration_bytes_of_the_datasheet() -> None:
-    bench = Bench(MagConfig(80.0, 12))
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def opened(config: MagConfig | None = None) -> Bench:
+    bench = Bench(config)
     bench.driver.open()
-    assert bench.byte(0x1E, 0x20) == 0b1_11_111_0_0  # temperature compensated, ultra-high X Y, 80 Hz
-    assert bench.byte(0x1E, 0x21) == 0b0_10_00000  # 12 gauss
-    assert bench.byte(0x1E, 0x22) == 0x00  # continuous conversion
-    assert bench.byte(0x1E, 0x23) == 0b0000_11_00  # ultra-high Z
-    assert bench.byte(0x1E, 0x24) == 0x40  # block data update
+    return bench
+
+
+def test_configuration_bytes_of_the_datasheet() -> None:
+    bench = opened(MagConfig(80.0, 12))
+    assert [bench.byte(0x1E, register) for register in range(0x20, 0x25)] == [
+        0b1_11_111_0_0,  # temperature compensated, ultra-high X Y, 80 Hz
+        0b0_10_00000,  # 12 gauss
+        0x00,  # continuous conversion
+        0b0000_11_00,  # ultra-high Z
+        0x40]  # block data update
 
 
 @pytest.mark.parametrize("gauss, mgauss", [(4, 0.14), (8, 0.29), (12, 0.43), (16, 0.58)])
 def test_field_in_tesla_and_x_turned_to_the_other_sensors(gauss: int, mgauss: float) -> None:
-    bench = Bench(MagConfig(20.0, gauss))
-    bench.driver.open()
+    bench = opened(MagConfig(20.0, gauss))
     bench.mag.field_gauss = (0.25, -0.1, 0.43)
     bench.clock.sleep(0.051)
     sample = bench.driver.read()
@@ -60,8 +74,7 @@ def test_field_in_tesla_and_x_turned_to_the_other_sensors(gauss: int, mgauss: fl
 
 @pytest.mark.parametrize("rate", [0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0])
 def test_every_rate_gives_each_reading_once(rate: float) -> None:
-    bench = Bench(MagConfig(rate))
-    bench.driver.open()
+    bench = opened(MagConfig(rate))
     got, end = 0, bench.clock.now_ns() + 20 / rate * 1e9
     while bench.clock.now_ns() < end:
         bench.clock.sleep(0.3 / rate)
@@ -72,11 +85,9 @@ def test_every_rate_gives_each_reading_once(rate: float) -> None:
 
 
 def test_an_unread_reading_is_said_to_be_lost() -> None:
-    bench = Bench()
-    bench.driver.open()
+    bench = opened()
     bench.clock.sleep(0.4)
-    sample = bench.driver.read()
-    assert sample.overrun
+    assert bench.driver.read().overrun
 
 
 @pytest.mark.parametrize("settings", [{"rate_hz": 100.0}, {"range_gauss": 2}])
@@ -85,44 +96,36 @@ def test_settings_that_the_chip_lacks_are_refused(settings: dict) -> None:
         MagConfig(**settings)
 
 
-def test_another_chip_and_an_absent_one_are_named() -> None:
-    bench = Bench()
-    with pytest.raises(DeviceAbsent, match="0x1C: no acknowledge"):
-        Magnetometer(bench.bus, 0x1C, now_ns=bench.clock.now_ns, sleep=bench.clock.sleep).open()
-    with pytest.raises(DeviceAbsent, match="WHO_AM_I reads 0x68"):
-        Magnetometer(bench.bus, 0x6B, now_ns=bench.clock.now_ns, sleep=bench.clock.sleep).open()
+def test_another_chip_and_an_absent_one_are_named(bench: Bench) -> None:
+    for address, said in ((0x1C, "0x1C: no acknowledge"), (0x6B, "WHO_AM_I reads 0x68")):
+        with pytest.raises(DeviceAbsent, match=said):
+            Magnetometer(bench.bus, address, **bench.times).open()
     bench.driver.open()
     bench.mag.fail(121, 1)
     with pytest.raises(DeviceAbsent, match="no acknowledge"):
         bench.driver.read()
 
 
-def test_a_register_that_does_not_hold_is_a_fault() -> None:
-    bench = Bench()
+def test_a_register_that_does_not_hold_is_a_fault(bench: Bench) -> None:
     store = bench.mag._store
     bench.mag._store = lambda register, value: store(register, 0 if register == 0x24 else value)
     with pytest.raises(DeviceFault, match="register 0x24"):
         bench.driver.open()
 
 
-def test_a_sound_chip_passes_its_self_test() -> None:
-    bench = Bench()
+def test_a_sound_chip_passes_its_self_test(bench: Bench) -> None:
     accel, gyro = bench.self_test.inertial()
-    assert accel.passed and gyro.passed
-    assert accel.moved == pytest.approx((400.0,) * 3, abs=0.1)
-    assert gyro.moved == pytest.approx((500.0,) * 3, abs=0.1)
     assert bench.byte(0x6B, 0x24) == 0  # the deflection is off again
     magnetic = bench.self_test.magnetic()
-    assert magnetic.passed
-    assert magnetic.moved == pytest.approx((2000.0, 2000.0, 500.0), abs=0.5)
     assert bench.byte(0x1E, 0x20) & 1 == 0
+    for found, moved in ((accel, (400.0,) * 3), (gyro, (500.0,) * 3), (magnetic, (2000.0, 2000.0, 500.0))):
+        assert found.passed and found.moved == pytest.approx(moved, abs=0.5 if found is magnetic else 0.1)
     assert "magnetometer passed" in str(magnetic)
 
 
 @pytest.mark.parametrize("mg, dps, broken", [(69.0, 500.0, "accel"), (1501.0, 500.0, "accel"),
                                                    (400.0, 199.0, "gyro"), (400.0, 801.0, "gyro")])
-def test_limits_are_those_of_the_makers_example(mg: float, dps: float, broken: str) -> None:
-    bench = Bench()
+def test_limits_are_those_of_the_makers_example(bench: Bench, mg: float, dps: float, broken: str) -> None:
     bench.ag.self_test_mg, bench.ag.self_test_dps = mg, dps
     accel, gyro = bench.self_test.inertial()
     assert (accel.passed, gyro.passed) == (broken != "accel", broken != "gyro")
@@ -131,60 +134,52 @@ def test_limits_are_those_of_the_makers_example(mg: float, dps: float, broken: s
 
 @pytest.mark.parametrize("moved", [(999.0, 2000.0, 500.0), (2000.0, 3001.0, 500.0), (2000.0, 2000.0, 99.0),
                                    (2000.0, 2000.0, 1001.0)])
-def test_limits_of_the_magnetometer(moved: tuple[float, float, float]) -> None:
-    bench = Bench()
+def test_limits_of_the_magnetometer(bench: Bench, moved: tuple[float, float, float]) -> None:
     bench.mag.self_test_mgauss = moved
     assert not bench.self_test.magnetic().passed
 
 
-def test_a_chip_that_measures_nothing_is_a_fault_and_the_deflection_goes_off() -> None:
-    bench = Bench()
+def test_a_chip_that_measures_nothing_is_a_fault_and_the_deflection_goes_off(bench: Bench) -> None:
     bench.ag._advance = lambda t_ns: None
     with pytest.raises(DeviceFault, match="no new reading"):
         bench.self_test.inertial()
     assert bench.byte(0x6B, 0x24) == 0
 
 
-def test_after_the_self_test_the_driver_configures_everything_anew() -> None:
-    bench = Bench()
+def test_after_the_self_test_the_driver_configures_everything_anew(bench: Bench) -> None:
     bench.self_test.inertial()
-    driver = Lsm9ds1(bench.bus, now_ns=bench.clock.now_ns, sleep=bench.clock.sleep)
+    driver = Lsm9ds1(bench.bus, **bench.times)
     driver.open()
     bench.clock.sleep(0.05)
-    batch = driver.drain()
-    assert (batch.raw == [30, -40, 50, 100, -200, 16393]).all()
-    assert len(batch.raw) > 5
+    raw = driver.drain().raw
+    assert len(raw) > 5 and (raw == [30, -40, 50, 100, -200, 16393]).all()
 
 
-def away(bench: Bench, seconds: float) -> tuple[Lsm9ds1, list]:
-    """A driver whose chip answers nothing for so long, and the batches around that."""
-    driver = Lsm9ds1(bench.ag, now_ns=bench.clock.now_ns, sleep=bench.clock.sleep)
+def away(bench: Bench, seconds: float) -> list:
+    """The batches around a time in which the chip answers nothing."""
+    driver = Lsm9ds1(bench.ag, **bench.times)
     driver.open()
-    transfer, back = bench.ag.i2c_rdwr, bench.clock.now_ns() + round(seconds * 1e9)
+    back = bench.clock.now_ns() + round(seconds * 1e9)
 
     def gone(*messages) -> None:
         if bench.clock.now_ns() < back:
             raise OSError(121, "no acknowledge")
-        transfer(*messages)
 
-    bench.ag.i2c_rdwr = gone
-    batches, end = [], back + 300_000_000
-    while bench.clock.now_ns() < end:
+    before(bench.ag, "i2c_rdwr", gone)
+    batches = []
+    while bench.clock.now_ns() < back + 300_000_000:
         bench.clock.sleep(0.01)
         batches.append(driver.drain())
-    return driver, batches
+    return batches
 
 
-def test_a_chip_away_for_a_moment_is_reset_and_reads_on_after_one_gap() -> None:
-    bench = Bench()
-    _, batches = away(bench, 0.08)
-    gaps = [b for b in batches if b.gap_before]
-    assert len(gaps) == 1
-    assert len(gaps[0].raw)
-    assert len(batches[-1].raw)
+def test_a_chip_away_for_a_moment_is_reset_and_reads_on_after_one_gap(bench: Bench) -> None:
+    batches = away(bench, 0.08)
+    (gap,) = [b for b in batches if b.gap_before]
+    assert len(gap.raw) and len(batches[-1].raw)
     assert bench.byte(0x6B, 0x10) == 0b100_01_000  # 238 Hz, 500 dps: configured again
 
 
-def test_a_chip_away_for_good_is_said_to_be_gone() -> None:
+def test_a_chip_away_for_good_is_said_to_be_gone(bench: Bench) -> None:
     with pytest.raises(DeviceAbsent, match="no acknowledge"):
-        away(Bench(), 5.0)
+        away(bench, 5.0)

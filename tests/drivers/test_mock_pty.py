@@ -19,7 +19,6 @@ from tests.support.still_plant import StillPlant
 pytestmark = REAL_CLOCK
 
 
-
 @pytest.fixture
 def rig() -> MockRig:
     return MockRig(StillPlant())
@@ -100,19 +99,17 @@ def test_a_host_that_goes_on_writing_does_not_keep_the_plug_in() -> None:
     assert out
 
 
-def test_a_pty_has_no_low_latency_mode_and_says_so(server: PtyServer) -> None:
+def test_a_pty_says_that_it_has_no_low_latency_mode_is_busy_while_in_use_and_lost_once_closed(server: PtyServer
+                                                                                              ) -> None:
     link = SerialLink(server.path)
-    assert link.low_latency is False
-    assert link.latency_timer_ms is None
-    link.close()
-    link.close()
-
-
-def test_a_port_in_use_is_busy(server: PtyServer) -> None:
-    link = SerialLink(server.path)
+    assert link.low_latency is False and link.latency_timer_ms is None
     with pytest.raises(DeviceBusy, match="another program holds the port"):
         SerialLink(server.path)
     link.close()
+    link.close()
+    for use in (link.read, lambda: link.write(b"\0")):
+        with pytest.raises(LinkLost):
+            use()
 
 
 def test_a_port_can_be_opened_again_and_old_bytes_are_gone(server: PtyServer) -> None:
@@ -133,15 +130,6 @@ def test_unplugged_mid_run_is_link_lost(rig: MockRig) -> None:
     with pytest.raises(LinkLost):
         controller.command(0.1)
     controller.close()
-
-
-def test_closed_by_another_thread_is_link_lost(server: PtyServer) -> None:
-    link = SerialLink(server.path)
-    link.close()
-    with pytest.raises(LinkLost):
-        link.read()
-    with pytest.raises(LinkLost):
-        link.write(b"\0")
 
 
 def test_both_devices_share_one_time_line(rig: MockRig, server: PtyServer) -> None:

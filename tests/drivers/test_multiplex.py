@@ -2,6 +2,7 @@
 
 import math
 import struct
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -32,9 +33,8 @@ def test_the_documented_answer_is_understood() -> None:
 
 @given(st.sampled_from(list(Kind)), st.integers(0, 0x300), st.integers(1, 9), st.data())
 def test_what_is_written_is_read_back(kind: Kind, start: int, count: int, data: st.DataObject) -> None:
-    bits = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}
-    one = st.floats(width=32, allow_nan=False) if kind == Kind.F32 else st.integers(-(2 ** (bits[kind] - 1)),
-                                                                                2 ** (bits[kind] - 1) - 1)
+    most = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}
+    one = st.floats(width=32, allow_nan=False) if kind == Kind.F32 else st.integers(-most[kind], most[kind] - 1)
     values = tuple(data.draw(one) for _ in range(count))
     (part,) = parse(padded(write(kind, start, values), 0x50))
     assert (part.kind, part.start, part.values) == (kind, start, values)
@@ -44,11 +44,8 @@ def test_what_is_written_is_read_back(kind: Kind, start: int, count: int, data: 
 
 @given(st.binary(max_size=64))
 def test_noise_is_refused_or_read_never_worse(data: bytes) -> None:
-    try:
-        parts = list(parse(data))
-    except ValueError:
-        return
-    assert all(len(part.values) <= 64 for part in parts)
+    with suppress(ValueError):
+        assert all(len(part.values) <= 64 for part in parse(data))
 
 
 @given(st.lists(st.binary(max_size=40), max_size=8))

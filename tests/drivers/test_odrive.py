@@ -13,6 +13,16 @@ from drivers.cansimple import CLOSED_LOOP, IDLE, LAYOUT, Msg, OdriveError, messa
 from drivers.errors import DeviceFault, ProtocolMismatch
 from drivers.mock.odrive_drive import ASKED
 from tests.support.drive_bench import CONSTANT, DriveBench, opened, telemetry
+from tests.support.spies import recorded
+
+OTHER_FIRMWARE = r"firmware 0\.\d\.\d, this program speaks CANSimple of 0.6; flash"
+
+
+@pytest.fixture
+def armed() -> DriveBench:
+    bench = DriveBench("odrive")
+    arm_and_wait(bench)
+    return bench
 
 
 def arm_and_wait(bench: DriveBench) -> None:
@@ -48,38 +58,26 @@ def test_a_watchdog_that_would_not_end_the_torque_is_refused(setting: str, value
     assert bench.far.torque_nm == 0.0 and bench.far.axis == IDLE
 
 
-def test_limits_are_written_as_it_is_armed() -> None:
-    bench = DriveBench("odrive")
-    arm_and_wait(bench)
-    speed, current = bench.far._limits
-    assert speed == pytest.approx(1.5 * 15.0 * 50 / (2 * math.pi)) and current == pytest.approx(1.5 * 2.0 / CONSTANT)
+def test_limits_are_written_as_it_is_armed(armed: DriveBench) -> None:
+    assert armed.far._limits == pytest.approx((1.5 * 15.0 * 50 / (2 * math.pi), 1.5 * 2.0 / CONSTANT))
 
 
-@pytest.mark.parametrize("version", [(2, 4, 4, 58, 0, 5, 6, 0), (2, 4, 4, 58, 0, 7, 0, 0)])
-def test_another_firmware_is_refused(version: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("setting, value, error, said", [
+    ("version", (2, 4, 4, 58, 0, 5, 6, 0), ProtocolMismatch, OTHER_FIRMWARE),
+    ("version", (2, 4, 4, 58, 0, 7, 0, 0), ProtocolMismatch, OTHER_FIRMWARE),
+    ("deaf", {Msg.GET_TORQUES}, ProtocolMismatch, "does not answer GET_TORQUES; flash a newer"),
+    ("cyclic", {Msg.GET_ENCODER_ESTIMATES: 10_000_000}, DeviceFault,
+     r"sends GET_ENCODER_ESTIMATES unasked.*encoder_msg_rate_ms")])
+def test_another_firmware_a_missing_message_and_one_that_comes_unasked_are_refused(
+        setting: str, value: Any, error: type[Exception], said: str) -> None:
     bench = DriveBench("odrive")
-    bench.far.version = version
-    with pytest.raises(ProtocolMismatch, match=r"firmware 0\.\d\.\d, this program speaks CANSimple of 0.6; flash"):
+    setattr(bench.far, setting, value)
+    with pytest.raises(error, match=said):
         bench.drive.open()
 
 
-def test_a_firmware_without_a_message_that_is_needed_names_it() -> None:
-    bench = DriveBench("odrive")
-    bench.far.deaf = {Msg.GET_TORQUES}
-    with pytest.raises(ProtocolMismatch, match="does not answer GET_TORQUES; flash a newer"):
-        bench.drive.open()
-
-
-def test_messages_that_come_unasked_are_refused() -> None:
-    bench = DriveBench("odrive")
-    bench.far.cyclic = {Msg.GET_ENCODER_ESTIMATES: 10_000_000}
-    with pytest.raises(DeviceFault, match=r"sends GET_ENCODER_ESTIMATES unasked.*encoder_msg_rate_ms"):
-        bench.drive.open()
-
-
-def test_an_error_is_named_in_its_words_and_cleared_by_its_message() -> None:
-    bench = DriveBench("odrive")
-    arm_and_wait(bench)
+def test_an_error_is_named_in_its_words_and_cleared_by_its_message(armed: DriveBench) -> None:
+    bench = armed
     bench.far.driver_ok = False
     bench.run(0.05, 0.5)
     assert "DRV_FAULT" in bench.drive.words
@@ -92,29 +90,19 @@ def test_an_error_is_named_in_its_words_and_cleared_by_its_message() -> None:
     assert not bench.drive.telemetry.faults
 
 
-def test_an_axis_that_stops_beating_is_not_armed() -> None:
-    bench = DriveBench("odrive")
-    arm_and_wait(bench)
-    bench.run(0.5, 0.5)
-    assert bench.drive.armed
-    bench.far._beat_ns = 2**62
-    bench.run(0.6, 0.5)
-    assert not bench.drive.armed
+def test_an_axis_that_stops_beating_is_not_armed(armed: DriveBench) -> None:
+    armed.run(0.5, 0.5)
+    assert armed.drive.armed
+    armed.far._beat_ns = 2**62
+    armed.run(0.6, 0.5)
+    assert not armed.drive.armed
 
 
-def test_250_a_second_fit_the_bus_at_a_megabit() -> None:
+def test_250_a_second_fit_the_bus_at_a_megabit(armed: DriveBench) -> None:
     """Frames as long as bit stuffing can make them."""
-    bench = DriveBench("odrive")
-    arm_and_wait(bench)
-    sent, true = [0.0], bench.link.write
-
-    def count(frames: tuple[CanFrame, ...]) -> None:
-        sent[0] += sum(bits(len(f.data)) + (bits(8) if f.remote else 0) for f in frames)
-        true(frames)
-
-    bench.link.write = count  # type: ignore[assignment]
-    seen = telemetry(bench.run(1.0, 0.3))
-    assert len(seen) > 240 and sent[0] < 0.3e6
+    sent = recorded(armed.link, "write")
+    assert len(telemetry(armed.run(1.0, 0.3))) > 240
+    assert sum(bits(len(f.data)) + (bits(8) if f.remote else 0) for (frames,) in sent for f in frames) < 0.3e6
 
 
 def bits(length: int) -> float:
@@ -133,19 +121,15 @@ def dbc() -> Any:
     return cantools.load_string(text, "dbc", strict=False)
 
 
-NAMES = {msg: "Axis0_" + msg.name.title().replace("Iq", "Iq") for msg in Msg}
+NAMES = {msg: "Axis0_" + msg.name.title() for msg in Msg}
 
 
 def test_every_message_has_the_published_identifier_and_length(dbc: Any) -> None:
     published = {m.name: m for m in dbc.messages if m.name.startswith("Axis0_")}
     for msg in Msg:
         assert published[NAMES[msg]].frame_id == msg, msg
-        floats = LAYOUT[msg].count("f")
-        assert len(message(5, msg, *[0.0 if floats else 0] * len(values(msg))).data) <= published[NAMES[msg]].length
-
-
-def values(msg: Msg) -> tuple[float, ...]:
-    return struct.unpack(LAYOUT[msg], bytes(struct.calcsize(LAYOUT[msg])))
+        zeros = struct.unpack(LAYOUT[msg], bytes(struct.calcsize(LAYOUT[msg])))
+        assert len(message(5, msg, *zeros).data) <= published[NAMES[msg]].length
 
 
 def test_the_published_dbc_reads_our_commands(dbc: Any) -> None:

@@ -80,15 +80,14 @@ def _source(base: Path, work: Path) -> Path:
         raise Unavailable(f"no source of kernel {kernel} among the packages")
     _download(work, f"{package}={version}")
     (archive,) = work.glob("linux-source-*.deb")
-    root = package
-    parts = " ".join(f"'{part.format(root)}'" for part in PARTS)
+    parts = " ".join(f"'{part.format(package)}'" for part in PARTS)
     source = work / "source"
     source.mkdir()
     _call(["sh", "-c", f"dpkg-deb --fsys-tarfile '{archive}' | tar -xO --wildcards './usr/src/linux-source-*.tar.xz' | "
                        f"xz -dc -T0 | tar -C '{source}' -x --wildcards --strip-components=1 {parts}"])
     archive.unlink()
-    config = base / "usr/share/doc/user-mode-linux/config.gz"
-    (source / ".config").write_bytes(gzip.decompress(config.read_bytes()))
+    config = (base / "usr/share/doc/user-mode-linux/config.gz").read_bytes()
+    (source / ".config").write_bytes(gzip.decompress(config))
     return source
 
 

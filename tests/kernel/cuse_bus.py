@@ -6,13 +6,11 @@ fetches the caller's messages out of its memory (struct layouts: linux/fuse.h, l
 
 import errno
 import os
-import select
 import struct
-import threading
 from pathlib import Path
 from typing import Any
 
-from smbus2 import i2c_msg
+from tests.kernel.served_bus import READ, ServedBus
 
 HEADER = struct.Struct("<IIQQIIIHH")  # length, opcode, unique, node, uid, gid, pid, extensions, padding
 REPLY = struct.Struct("<IiQ")
@@ -23,46 +21,18 @@ UNRESTRICTED = 1
 RETRY = 4
 I2C_SLAVE, I2C_FUNCS, I2C_RDWR = 0x0703, 0x0705, 0x0707
 PLAIN_I2C = 1
-READ = 1
 MOST_MESSAGES, LONGEST = 42, 8192
 Area = tuple[int, int]
 """Address and length in the caller's memory."""
 
 
-class CuseBus:
-    """Serves `bus` (an object with smbus2's `i2c_rdwr`) as /dev/i2c-NUMBER until `close`: the adapter pulled out."""
+class CuseBus(ServedBus):
+    """As /dev/i2c-NUMBER."""
 
     def __init__(self, bus: Any, number: int = 7) -> None:
+        super().__init__(bus, "/dev/cuse")
         self.path = f"/dev/i2c-{number}"
-        self._bus = bus
-        self._fd = os.open("/dev/cuse", os.O_RDWR)
-        self._wake, self._waker = os.pipe()
-        self._ready = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="cuse-bus", daemon=True)
-        self._thread.start()
-        if not self._ready.wait(10):
-            raise TimeoutError("the kernel did not ask for the device")
-        for _ in range(1000):
-            if Path(self.path).exists():
-                return
-            threading.Event().wait(0.01)
-        raise TimeoutError(self.path)
-
-    def close(self) -> None:
-        """The adapter is gone from the machine, whoever has it open; may be called twice."""
-        if not self._thread.is_alive():
-            return
-        os.write(self._waker, b"x")
-        self._thread.join()
-        os.close(self._wake)
-        os.close(self._waker)
-
-    def _serve(self) -> None:
-        try:
-            while self._wake not in select.select([self._fd, self._wake], [], [])[0]:
-                self._answer(os.read(self._fd, 1 << 18))
-        finally:
-            os.close(self._fd)
+        self.start()
 
     def _answer(self, request: bytes) -> None:
         length, opcode, unique, *_ = HEADER.unpack_from(request)
@@ -84,8 +54,6 @@ class CuseBus:
         except OSError as failure:
             error = failure.errno or errno.EIO
         os.write(self._fd, REPLY.pack(REPLY.size + len(data), -error, unique) + data)
-        if opcode == INIT:
-            self._ready.set()
 
     def _ioctl(self, body: bytes) -> bytes:
         _, _, command, argument, _, room = IOCTL.unpack_from(body)
@@ -110,22 +78,14 @@ class CuseBus:
         start = 16 + count * MESSAGE.size
         if len(given) < start:
             return _fetch(areas, [])
-        heads = [MESSAGE.unpack_from(given, 16 + k * MESSAGE.size) for k in range(count)]
+        heads = list(MESSAGE.iter_unpack(given[16:start]))
         if any(length > LONGEST for _, _, length, _ in heads):
             raise OSError(errno.EINVAL, "length of a message")
-        written = [(at, length) for _, flags, length, at in heads if not flags & READ and length]
-        read = [(at, length) for _, flags, length, at in heads if flags & READ and length]
+        read, written = ([(at, length) for _, flags, length, at in heads if flags & READ == way and length]
+                         for way in (READ, 0))
         if len(given) < start + sum(length for _, length in written):
             return _fetch(areas + written, read)
-        messages = []
-        for address, flags, length, _ in heads:
-            if flags & READ:
-                messages.append(i2c_msg.read(address, length))
-            else:
-                messages.append(i2c_msg.write(address, given[start: start + length]))
-                start += length
-        self._bus.i2c_rdwr(*messages)
-        return _result(count, b"".join(bytes(m) for m in messages if m.flags & READ))
+        return _result(count, self.transfer([head[:3] for head in heads], given[start:]))
 
 
 def _fetch(into: list[Area], out: list[Area]) -> bytes:

@@ -5,10 +5,9 @@ import fcntl
 import os
 import subprocess
 import termios
-import threading
 import time
-import tty
 from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from typing import Any
 
 import can
@@ -19,7 +18,8 @@ from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
 from drivers.mock import CanServer, FirmwareSettings, MockRig
-from tests.support.leg_on_a_link import PATIENCE_S, drive, is_stopped, ping, poll_until
+from tests.support.leg_on_a_link import PATIENCE_S, drive, is_stopped, ping, poll_until, settle
+from tests.support.slcan_adapter import SlcanAdapter
 from tests.support.still_plant import StillPlant
 
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}
@@ -28,6 +28,15 @@ NODE = 3
 
 def ip(*words: str) -> None:
     subprocess.run(["ip", *words], check=True)
+
+
+@contextmanager
+def vcan_down() -> Iterator[None]:
+    ip("link", "set", "vcan0", "down")
+    try:
+        yield
+    finally:
+        ip("link", "set", "vcan0", "up")
 
 
 def raw(can_id: int, data: bytes = b"\0", **kind) -> can.Message:
@@ -44,10 +53,8 @@ def rig() -> MockRig:
 def server(rig: MockRig) -> Iterator[CanServer]:
     server = CanServer(rig.firmware, can.Bus(**VCAN), rig.clock)
     yield server
-    try:
+    with suppress(can.CanError):  # the interface was taken from it, as the test wanted
         server.close()
-    except can.CanError:
-        return  # the interface was taken from it, as the test wanted
 
 
 def connect() -> LegController:
@@ -82,8 +89,7 @@ def test_interface_down_is_said_with_the_remedy_and_the_drive_falls_to_its_watch
     controller.arm(200)
     controller.command(0.5)
     poll_until(controller, lambda r: controller.armed)
-    ip("link", "set", "vcan0", "down")
-    try:
+    with vcan_down():
         with pytest.raises(LinkLost, match="interface is down; bring it up: ip link set vcan0 up"):
             poll_until(controller, lambda r: False)
         with pytest.raises(LinkLost, match="is down"):
@@ -93,10 +99,7 @@ def test_interface_down_is_said_with_the_remedy_and_the_drive_falls_to_its_watch
         while time.monotonic() < deadline:
             rig.firmware.transmit(rig.clock.now_ns())  # whoever served the bus was cut off with it
             time.sleep(0.01)
-        assert rig.firmware.drive.torque_nm == 0.0
-        assert rig.firmware.drive.state == State.FAULT
-    finally:
-        ip("link", "set", "vcan0", "up")
+        assert rig.firmware.drive.torque_nm == 0.0 and rig.firmware.drive.state == State.FAULT
 
 
 def test_an_interface_removed_is_gone(rig: MockRig, server: CanServer) -> None:
@@ -117,24 +120,16 @@ def test_an_interface_removed_is_gone(rig: MockRig, server: CanServer) -> None:
 
 
 def test_a_flood_loses_frames_in_silence_and_the_codec_counts_them() -> None:
-    link, codec = CanLink(NODE, **VCAN), CanCodec(NODE)
-    telemetry = Telemetry(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 25.0, 0.0)
+    link, codec, got = CanLink(NODE, **VCAN), CanCodec(NODE), list[Any]()
     with can.Bus(**VCAN) as other:
-        for seq in range(1500):
-            for frame in CanCodec(NODE).encode(Telemetry(seq, *list(vars(telemetry).values())[1:])):
-                other.send(raw(frame.can_id, frame.data))
-        got, chunk = [], link.read()
-        while chunk:
-            got += codec.feed(chunk)
-            chunk = link.read()
-        for seq in (1500, 1501):
-            for frame in CanCodec(NODE).encode(Telemetry(seq, *list(vars(telemetry).values())[1:])):
-                other.send(raw(frame.can_id, frame.data))
-        got += codec.feed(link.read())
+        for numbers in (range(1500), (1500, 1501)):
+            for seq in numbers:
+                for frame in codec.encode(Telemetry(seq, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 25.0, 0.0)):
+                    other.send(raw(frame.can_id, frame.data))
+            while chunk := link.read():
+                got += codec.feed(chunk)
     seqs = [m.seq for m in got]
-    assert 10 < len(seqs) < 1500
-    assert seqs == sorted(set(seqs))
-    assert seqs[-1] == 1501
+    assert 10 < len(seqs) < 1500 and seqs == sorted(set(seqs)) and seqs[-1] == 1501
     assert codec.lost == 1502 - len(seqs) - seqs[0]
     link.close()
 
@@ -162,47 +157,15 @@ def test_the_kernels_stamp_is_of_the_arrival() -> None:
         assert before - 0.02 < message.timestamp < sent + 0.02
 
 
-class SlcanAdapter:
-    """The far end of a serial CAN adapter: what it hears, and what a test lets it say."""
-
-    def __init__(self) -> None:
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        self.heard = b""
-        self.running = True
-        os.set_blocking(self.master, False)
-        self.thread = threading.Thread(target=self.listen, daemon=True)
-        self.thread.start()
-
-    def listen(self) -> None:
-        while self.running:
-            try:
-                self.heard += os.read(self.master, 4096)
-            except BlockingIOError:
-                time.sleep(0.002)
-
-    def say(self, text: str) -> None:
-        os.write(self.master, text.encode())
-
-    def close(self) -> None:
-        self.running = False
-        self.thread.join()
-        os.close(self.slave)
-        os.close(self.master)
-
-
 def test_slcan_carries_frames_and_says_bus_off() -> None:
-    adapter = SlcanAdapter()
-    try:
+    with closing(SlcanAdapter()) as adapter:
         fcntl.ioctl(adapter.slave, termios.TIOCSETD, (17).to_bytes(4, "little"))  # N_SLCAN
         name = "slcan0" if os.path.exists("/sys/class/net/slcan0") else "can0"
         ip("link", "set", name, "up")
         link = CanLink(NODE, interface="socketcan", channel=name)
         link.write((CanFrame(NODE << 5, b""),))  # Stop
         deadline = time.monotonic() + PATIENCE_S
-        while b"t0600\r" not in adapter.heard and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert b"t0600\r" in adapter.heard
+        settle(lambda: "t0600\r" in adapter.heard)
         adapter.say("t0706CDAB34120120\r")  # the Heartbeat of section 10
         frames: tuple[CanFrame, ...] = ()
         while not frames and time.monotonic() < deadline:
@@ -214,19 +177,12 @@ def test_slcan_carries_frames_and_says_bus_off() -> None:
             while time.monotonic() < deadline:
                 link.read()
         link.close()
-    finally:
-        adapter.close()
 
 
 def test_sending_without_a_reader_ends_in_words_not_in_a_hang() -> None:
     link = CanLink(NODE, **VCAN)
-    ip("link", "set", "vcan0", "down")
-    try:
-        with pytest.raises(LinkLost) as caught:
-            link.write((CanFrame(NODE << 5, b""),))
-        assert "\n" not in str(caught.value)
-        assert isinstance(caught.value.__cause__, can.CanError)
-        assert caught.value.__cause__.error_code == errno.ENETDOWN
-    finally:
-        ip("link", "set", "vcan0", "up")
-        link.close()
+    with vcan_down(), pytest.raises(LinkLost) as caught:
+        link.write((CanFrame(NODE << 5, b""),))
+    link.close()
+    cause = caught.value.__cause__
+    assert "\n" not in str(caught.value) and isinstance(cause, can.CanError) and cause.error_code == errno.ENETDOWN

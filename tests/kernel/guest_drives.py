@@ -8,10 +8,11 @@ import can
 import pytest
 
 from drivers import DeviceAbsent, Drive, Telemetry, Wiring, open_drive
-from drivers.mock import CanServer, FirmwareSettings, MockRig, drive_facts, drive_maker
+from drivers.mock import CanServer, MockRig, drive_facts, drive_maker
+from tests.support.drive_bench import telemetry
+from tests.support.leg_on_a_link import PATIENCE_S, settle
 from tests.support.still_plant import StillPlant
 
-PATIENCE_S = 20.0
 VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}
 WATCHDOG_MS = 500
 
@@ -19,38 +20,39 @@ WATCHDOG_MS = 500
 class Served:
     """A drive's emulator on vcan0."""
 
-    def __init__(self, kind: str, rate_hz: float = 50.0) -> None:  # a system call costs 50 us in here
-        self.kind = kind
-        self.wiring = Wiring(can=VCAN, node=drive_facts(kind).node, rate_hz=rate_hz, gear_ratio=50.0, turns=50.0,
+    def __init__(self, kind: str) -> None:
+        # A slow rate: a system call costs 50 us in here.
+        self.wiring = Wiring(can=VCAN, node=drive_facts(kind).node, rate_hz=50.0, gear_ratio=50.0, turns=50.0,
                              watchdog_ms=WATCHDOG_MS)
-        self.rig = MockRig(StillPlant(), firmware=FirmwareSettings(), make=drive_maker(kind, self.wiring))
+        self.rig = MockRig(StillPlant(), make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive
         self.server = CanServer(self.rig.drive, can.Bus(**VCAN, fd=kind == "moteus"), self.rig.clock)
 
 
-@pytest.fixture
-def moteus() -> Iterator[Served]:
-    served = Served("moteus")
+def serve(kind: str) -> Iterator[Served]:
+    served = Served(kind)
     yield served
     served.server.close()
+
+
+@pytest.fixture
+def moteus() -> Iterator[Served]:
+    yield from serve("moteus")
 
 
 @pytest.fixture
 def odrive() -> Iterator[Served]:
-    served = Served("odrive")
-    yield served
-    served.server.close()
+    yield from serve("odrive")
 
 
 def drive_until(drive: Drive, torque_nm: float, wanted: Callable[[], bool]) -> list[Telemetry]:
     """Poll and command until then; what came."""
     out, deadline = [], time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        out += [one.message for one in drive.poll() if isinstance(one.message, Telemetry)]
+    while not wanted():
+        assert time.monotonic() < deadline, "it did not come"
+        out += telemetry(drive.poll())
         drive.command(torque_nm)
-        if wanted():
-            return out
-    raise AssertionError("it did not come")
+    return out
 
 
 def torque_of(drive: Drive) -> float:
@@ -64,15 +66,10 @@ def test_a_moteus_is_driven_over_can_fd_and_its_watchdog_ends_the_torque(moteus:
         drive.arm(WATCHDOG_MS)
         seen = drive_until(drive, 0.5, lambda: drive.armed and torque_of(drive) > 0.49)
         assert seen and drive.stats.bad_crc == drive.stats.unknown == 0
-        frames = []
-        while (frame := tap.recv(0)) is not None:
-            frames.append(frame)
-        assert frames and all(frame.is_fd for frame in frames)
-        assert max(len(frame.data) for frame in frames) > 8
-        deadline = time.monotonic() + PATIENCE_S
-        while moteus.far.torque_nm != 0.0 and time.monotonic() < deadline:
-            drive.poll()  # asking does not feed it
-        assert moteus.far.torque_nm == 0.0 and moteus.far.mode == 11
+        frames = list(iter(lambda: tap.recv(0), None))
+        assert all(frame.is_fd for frame in frames) and max(len(frame.data) for frame in frames) > 8
+        settle(lambda: drive.poll() is not None and moteus.far.torque_nm == 0.0)  # asking does not feed it
+        assert moteus.far.mode == 11
     assert moteus.far.mode in (0, 11)
 
 

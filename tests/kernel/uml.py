@@ -69,11 +69,11 @@ def prepare() -> Path:
     with tempfile.TemporaryDirectory(dir=CACHE) as folder:
         fetched = Path(folder)
         # Root may refresh the package list; everybody else takes it as it is.
-        if not _download(fetched) and not (os.geteuid() == 0 and _run("apt-get", *APT, "update", cwd=fetched) == 0
+        if not _download(fetched) and not (os.geteuid() == 0 and _runs("apt-get", *APT, "update", cwd=fetched)
                                            and _download(fetched)):
             raise Unavailable("the packages user-mode-linux and busybox-static cannot be downloaded")
         for package in fetched.glob("*.deb"):
-            if _run("dpkg-deb", "-x", str(package), str(fetched / "out"), cwd=fetched) != 0:
+            if not _runs("dpkg-deb", "-x", str(package), str(fetched / "out"), cwd=fetched):
                 raise Unavailable(f"{package.name} cannot be unpacked")
         (fetched / "out" / "complete").touch()
         if not base.exists():
@@ -82,12 +82,11 @@ def prepare() -> Path:
 
 
 def _download(folder: Path) -> bool:
-    return _run("apt-get", *APT, "download", *PACKAGES, cwd=folder) == 0
+    return _runs("apt-get", *APT, "download", *PACKAGES, cwd=folder)
 
 
-def _run(*command: str, cwd: Path) -> int:
-    nowhere = subprocess.DEVNULL
-    return subprocess.run(command, cwd=cwd, stdout=nowhere, stderr=nowhere, check=False).returncode
+def _runs(*command: str, cwd: Path) -> bool:
+    return subprocess.run(command, cwd=cwd, capture_output=True, check=False).returncode == 0
 
 
 def hide_wide_registers() -> None:

@@ -3,64 +3,30 @@
 import errno
 import fcntl
 import os
-import select
 import struct
-import threading
 from pathlib import Path
 from typing import Any
 
-from smbus2 import i2c_msg
+from tests.kernel.served_bus import ServedBus
 
 DEVICE = Path("/dev/wires")
 ADAPTER_NUMBER = 0x7701
-READ = 1
-HEAD, LINE = struct.Struct("<II"), struct.Struct("<HHHH")
+HEAD, LINE = struct.Struct("<II"), struct.Struct("<HHH2x")
 
 
-class WiresBus:
-    """Serves `bus` (an object with smbus2's `i2c_rdwr`) as /dev/i2c-N until `close`: the adapter pulled out."""
+class WiresBus(ServedBus):
+    """By the next number that is free."""
 
     def __init__(self, bus: Any) -> None:
-        self._bus = bus
-        self._fd = os.open(DEVICE, os.O_RDWR)
+        super().__init__(bus, DEVICE)
         self.path = f"/dev/i2c-{fcntl.ioctl(self._fd, ADAPTER_NUMBER)}"
-        self._wake, self._waker = os.pipe()
-        self._thread = threading.Thread(target=self._serve, name="wires-bus", daemon=True)
-        self._thread.start()
-        for _ in range(1000):
-            if Path(self.path).exists():
-                return
-            threading.Event().wait(0.01)
-        raise TimeoutError(self.path)
+        self.start()
 
-    def close(self) -> None:
-        """The adapter is gone; may be called twice."""
-        if not self._thread.is_alive():
-            return
-        os.write(self._waker, b"x")
-        self._thread.join()
-        os.close(self._wake)
-        os.close(self._waker)
-
-    def _serve(self) -> None:
-        try:
-            while self._wake not in select.select([self._fd, self._wake], [], [])[0]:
-                os.write(self._fd, self._answer(os.read(self._fd, 1 << 19)))
-        finally:
-            os.close(self._fd)
-
-    def _answer(self, request: bytes) -> bytes:
+    def _answer(self, request: bytes) -> None:
         ticket, count = HEAD.unpack_from(request)
-        at, messages = HEAD.size + count * LINE.size, []
-        for k in range(count):
-            address, flags, length, _ = LINE.unpack_from(request, HEAD.size + k * LINE.size)
-            if flags & READ:
-                messages.append(i2c_msg.read(address, length))
-            else:
-                messages.append(i2c_msg.write(address, request[at: at + length]))
-                at += length
+        data = HEAD.size + count * LINE.size
         try:
-            self._bus.i2c_rdwr(*messages)
+            read = self.transfer(list(LINE.iter_unpack(request[HEAD.size:data])), request[data:])
         except OSError as error:
-            return struct.pack("<Ii", ticket, -(error.errno or errno.EIO))
-        return struct.pack("<Ii", ticket, count) + b"".join(bytes(m) for m in messages if m.flags & READ)
+            count, read = -(error.errno or errno.EIO), b""
+        os.write(self._fd, struct.pack("<Ii", ticket, count) + read)

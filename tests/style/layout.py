@@ -186,8 +186,7 @@ def borrowed(path: Path) -> Iterator[str]:
 def problems() -> Iterator[str]:
     """Every line that `make lint` prints about the layout; those that begin with `warning` refuse nothing."""
     for module in sorted(MODULES):
-        for said in (*climbs(module), *past_faces(module)):
-            yield f"{MODULES[module].relative_to(ROOT)}: {said}"
+        yield from (f"{MODULES[module].relative_to(ROOT)}: {said}" for said in (*climbs(module), *past_faces(module)))
     for floor in ROOMS:
         yield from (f"{floor}: {said}" for said in rooms_out_of_order(floor))
     circle = storeys({module: set(needs(module)) & MODULES.keys() for module in MODULES})

@@ -15,9 +15,6 @@ GUIDE = [DOCS / f"{name}.md" for name in re.findall(
     r"^[a-z]+$", (DOCS / "index.md").read_text(encoding="utf-8").split(":caption: Guide")[1].split("```")[0],
     re.MULTILINE)]
 
-ALLOWED: dict[str, tuple[str, ...]] = {}
-"""Page and the phrases in it that keep such a word: a quotation, or the ordinary meaning."""
-
 LONGEST_SENTENCE, MOST_LIX = 30, 32.0
 WORDS_OF_GUIDE, PAGES_OF_GUIDE, WORDS_OF_PAGE = 18_000, 12, 2_200
 WORDS_OF = {"README.md": 700, "docs/decisions.md": 2_500, "docs/positions.md": 2_200}
@@ -46,15 +43,11 @@ def sentences(page: str) -> list[str]:
 
 
 def wrong_words(page: Path) -> Iterator[str]:
-    """Words of a page that no textbook has, and allowed phrases that the page lacks."""
+    """Words of a page that no textbook has."""
     text = re.sub(r"^```.*?^```|`[^`\n]*`|\]\([^)]*\)", "", page.read_text(encoding="utf-8"),
                   flags=re.DOTALL | re.MULTILINE)
     if page.parent.name == "evidence" and page.stem != "index":  # its tables quote messages
         text = re.sub(r"^\|.*$", "", text, flags=re.MULTILINE)
-    for phrase in ALLOWED.get(name_of(page), ()):
-        if phrase not in text:
-            yield f"{phrase!r} is allowed and not there"
-        text = text.replace(phrase, "")
     for word, better in compiled(WORDS | IN_PAGES):
         yield from (f"{match[0]!r} -> {better}" for match in word.finditer(" ".join(text.split())))
 

@@ -43,12 +43,12 @@ class Said(NamedTuple):
     """A public docstring, which must begin with a sentence."""
 
 
-def text_of(node: ast.expr) -> str | None:
-    """Text of a string or f-string, each value of which counts as one word; None of any other node."""
+def text_of(node: ast.AST, value: str = "X") -> str | None:
+    """Text of a string or f-string, with `value` for each of its values; None of any other node."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
-        return "".join(str(v.value) if isinstance(v, ast.Constant) else "X" for v in node.values)
+        return "".join(str(v.value) if isinstance(v, ast.Constant) else value for v in node.values)
     return None
 
 
@@ -66,14 +66,10 @@ def docstrings(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST, ast.Expr]]:
 def names(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     """Line and name of all classes, functions, arguments, variables and fields among the nodes of a module."""
     for node in nodes:
-        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            yield node.lineno, node.name
-        elif isinstance(node, ast.arg):
-            yield node.lineno, node.arg
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.attr
+        match node:
+            case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.arg(
+                    arg=name) | ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                yield node.lineno, name
 
 
 @cache
@@ -130,11 +126,6 @@ def complaints(path: str, one: Said) -> Iterator[str]:
             yield f"{here} has a first sentence of {length(first)} words: {first[:150]!r}"
 
 
-def problems_of(path: Path) -> list[str]:
-    name = str(path.relative_to(ROOT))
-    return [line for one in said_in(path) for line in complaints(name, one)]
-
-
 def unused_phrases() -> Iterator[str]:
     """Phrases that ALLOWED has although no file has them, or although nothing refuses them."""
     for where, phrase, _ in ALLOWED:
@@ -148,7 +139,7 @@ def unused_phrases() -> Iterator[str]:
 def problems() -> Iterator[str]:
     """Every line that `make lint` prints about words."""
     for path in FILES:
-        yield from problems_of(path)
+        yield from (line for one in said_in(path) for line in complaints(str(path.relative_to(ROOT)), one))
     hard = lix([sentence for path in FILES for one in said_in(path) if one.kind == "message"
                 for sentence in re.split(SENTENCES, one.text)])
     if hard >= MOST_LIX:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from drivers import Reaction
+from drivers import Closing, Reaction
 from drivers.can_codec import CanCodec
 from drivers.can_frame import CanFrame, Frames
 from drivers.mock import FirmwareSettings, MockRig, VirtualClock
@@ -55,7 +55,7 @@ class Change(NamedTuple):
     value: int
 
 
-class Served:
+class Served(Closing):
     """leg_host on a pseudo-terminal, in a process of its own: it outlives whoever drives it."""
 
     def __init__(self, telemetry_hz: int = 500) -> None:
@@ -101,7 +101,7 @@ class Answer(NamedTuple):
     sent: bytes
     state: int
     torque_unm: int
-    dropped: tuple[int, int, int]
+    dropped: tuple[int, ...]
     late: int = 0
 
 
@@ -151,25 +151,19 @@ def change(plant: StillPlant, firmware: Any, event: Event) -> None:
     """A reading of the emulator set by hand."""
     name, value = event.what, event.value
     lost = value == -(2**31)
-    if name == "knee_speed":
-        plant.state = replace(plant.state, q2d=math.nan if lost else value * 1e-6)
-    elif name == "angle":
-        plant.state = replace(plant.state, q2=value * 1e-6)
-    elif name == "bus_mv":
-        firmware.bus_v = math.nan if value == 65535 else value * 1e-3
-    elif name == "motor_cdegc":
-        firmware.motor_degc = math.nan if value == -(2**15) else value * 1e-2
-    elif name == "current":
-        firmware.current_ok = not lost
-    elif name == "estop":
-        firmware.estop_open = bool(value)
+    if name in ("knee_speed", "angle"):
+        field = {"knee_speed": "q2d", "angle": "q2"}[name]
+        plant.state = replace(plant.state, **{field: math.nan if lost else value * 1e-6})
     elif name == "reaction":
         firmware.settings = firmware.drive._settings = replace(firmware.settings, reaction=Reaction(value))
-    elif name == "gate_driver":
-        firmware.gate_driver_ok = not value
     else:
-        setattr(firmware, {"knee": "knee_encoder_ok", "knee_hall": "knee_hall_ok",
-                           "pivot_hall": "pivot_hall_ok"}[name], not lost)
+        attribute, reading = {
+            "bus_mv": ("bus_v", math.nan if value == 65535 else value * 1e-3),
+            "motor_cdegc": ("motor_degc", math.nan if value == -(2**15) else value * 1e-2),
+            "estop": ("estop_open", bool(value)), "gate_driver": ("gate_driver_ok", not value),
+            "current": ("current_ok", not lost), "knee": ("knee_encoder_ok", not lost),
+            "knee_hall": ("knee_hall_ok", not lost), "pivot_hall": ("pivot_hall_ok", not lost)}[name]
+        setattr(firmware, attribute, reading)
 
 
 def run_core(script: Iterable[Event], end_us: int, boots: list[int], node: int | None = None) -> Answer:
@@ -177,12 +171,11 @@ def run_core(script: Iterable[Event], end_us: int, boots: list[int], node: int |
     left = iter(boots)
     lines = [f"0 reboot {next(left)}"]
     for event in script:
-        what = {"rx": event.what, "set": f"{event.what} {event.value}"}.get(event.verb)
-        lines.append(f"{event.t_us} {event.verb} {what if what is not None else next(left)}")
-    frames, counts, (state, torque_unm, *_) = run_script([*lines, f"{end_us} end"], node)
+        what = f"{event.what} {event.value}" if event.verb == "set" else event.what or next(left)
+        lines.append(f"{event.t_us} {event.verb} {what}")
+    frames, (*dropped, late), (state, torque_unm, *_) = run_script([*lines, f"{end_us} end"], node)
     of_boot_1 = 1 if node is None else 3  # the Hello before the script's own boot
-    bad_crc, bad_length, unknown, late = counts
-    return Answer(b"".join(frames[of_boot_1:]), state, torque_unm, (bad_crc, bad_length, unknown), late)
+    return Answer(b"".join(frames[of_boot_1:]), state, torque_unm, tuple(dropped), late)
 
 
 def run_script(lines: Iterable[str], node: int | None = None) -> tuple[list[bytes], list[int], list[int]]:

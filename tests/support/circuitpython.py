@@ -21,14 +21,13 @@ class Busio:
         self._bus.i2c_rdwr(i2c_msg.write(address, bytes(buffer)[start:end]))
 
     def readfrom_into(self, address: int, buffer: Any, start: int = 0, end: int | None = None) -> None:
-        self._read(i2c_msg.read(address, len(buffer[start:end])), buffer, start)
+        self._read(address, memoryview(buffer)[start:end])
 
     def writeto_then_readfrom(self, address: int, out: Any, into: Any, out_start: int = 0, out_end: int | None = None,
                               in_start: int = 0, in_end: int | None = None, stop: bool = False) -> None:
-        self._read(i2c_msg.read(address, len(into[in_start:in_end])), into, in_start,
-                   i2c_msg.write(address, bytes(out)[out_start:out_end]))
+        self._read(address, memoryview(into)[in_start:in_end], i2c_msg.write(address, bytes(out)[out_start:out_end]))
 
-    def _read(self, reply: Any, into: Any, start: int, *before: Any) -> None:
+    def _read(self, address: int, into: memoryview, *before: Any) -> None:
+        reply = i2c_msg.read(address, len(into))
         self._bus.i2c_rdwr(*before, reply)
-        data = bytes(reply)
-        into[start:start + len(data)] = data
+        into[:] = bytes(reply)

@@ -18,11 +18,12 @@ from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from estimator import FitOptions, fit
 from estimator.effects import library
 from estimator.model import leg2, simulate
-from experiments.cli import main
 from experiments.models import EffectValue, load_model
 from experiments.rig.devices import connect
 from experiments.workflows import simulate_run
+from tests.support.leg_on_a_link import poll_until
 from tests.support.models import LEG, write_model
+from tests.support.shell import typed
 from tests.support.still_plant import StillPlant
 
 RIG = "[mechanism]\nmodel = \"leg2\"\nactuated = [2]\n"
@@ -31,7 +32,7 @@ BETA = [0.14, 0.03, 0.05, 0.5, 0.15, 0.05, 0.03, 0.001, 0.001]
 
 def effect(folder: Path) -> None:
     """Listed, offered for both joints, and in a simulation the hip rests where its torque balances gravity's."""
-    assert main(["effects"]) == 0
+    typed("effects")
     assert {"wind@1", "wind@2"} <= {e.key for e in library(leg2(lever_arm=0.2), True)[0]}
     plain = load_model(write_model(folder / "leg.json", BETA, LEG))
     windy = structs.replace(plain, effects=(EffectValue(name="wind", joint=1, sizes={"push": 0.5}),),
@@ -49,8 +50,7 @@ def mechanism(folder: Path) -> None:
     tau = np.column_stack([4.0 * np.sin(2.1 * time) + 3.0 * np.sin(5.3 * time + 1.0), np.zeros(time.size)])
     q, _, _ = simulate(m, beta, np.zeros(2), np.zeros(2), tau, 0.01)
     assert np.isfinite(q).all() and np.abs(q[:, 1]).max() > 0.1
-    columns = {"q1_rad": q[:, 0], "q2_rad": q[:, 1]}
-    columns = {name: x + 2e-4 * rng.normal(size=x.size) for name, x in columns.items()}
+    columns = {f"q{j + 1}_rad": q[:, j] + 2e-4 * rng.normal(size=time.size) for j in (0, 1)}
     run = Dataset("crane", 100.0, time, columns | {"tau1_nm": tau[:, 0] + 0.02 * rng.normal(size=time.size)})
     found = fit([run], m, FitOptions(sensors="encoder"))
     assert found.converged and not found.undetermined
@@ -58,12 +58,11 @@ def mechanism(folder: Path) -> None:
 
     rig, model = folder / "crane.toml", folder / "crane.json"
     write_csv(run, folder / "crane.csv")
-    rig.write_text('[mechanism]\nmodel = "crane"\nactuated = [1]\n')
-    assert main(["fit", str(folder / "crane.csv"), "--rig", str(rig), "--model-out", str(model)]) == 0
+    for name, status in (("crane", 0), ("crame", 2)):
+        rig.write_text(f'[mechanism]\nmodel = "{name}"\nactuated = [1]\n')
+        typed("fit", folder / "crane.csv", "--rig", rig, "--model-out", model, status=status)
     saved = load_model(model)
     assert saved.mechanism.model == "crane" and np.abs(np.array(saved.beta)[:5] / beta[:5] - 1.0).max() < 0.03
-    rig.write_text('[mechanism]\nmodel = "crame"\nactuated = [1]\n')
-    assert main(["fit", str(folder / "crane.csv"), "--rig", str(rig)]) == 2
 
 
 def device() -> None:
@@ -107,6 +106,7 @@ class Hobby:
     def __init__(self) -> None:
         self.state, self.torque, self.fed_s, self.watchdog_s, self.line = 0, 0.0, 0.0, 1.0, b""
         self.out: list[tuple[int, bytes]] = []
+        self.post = self.receive
 
     def receive(self, data: bytes, t_ns: int) -> None:
         *lines, self.line = (self.line + data).split(b"\n")
@@ -125,9 +125,6 @@ class Hobby:
             self.state, self.torque = 2, 0.0
         out, self.out = self.out, []
         return out
-
-    def post(self, data: bytes, t_ns: int) -> None:
-        self.receive(data, t_ns)
 
 
 def drive() -> None:
@@ -157,11 +154,7 @@ def drive() -> None:
 
 
 def until(controller: Drive, state: State) -> None:
-    for _ in range(2000):
-        controller.poll()
-        if controller.telemetry is not None and controller.telemetry.state == state:
-            return
-    raise AssertionError(f"never {state}")
+    poll_until(controller, lambda _: controller.telemetry and controller.telemetry.state == state)
 
 
 def command(folder: Path) -> None:
@@ -169,7 +162,7 @@ def command(folder: Path) -> None:
     (folder / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
     rows = [f"{k / 100.0},{np.sin(k / 20.0)},0.1" for k in range(201)]
     (folder / "run.csv").write_text("\n".join(["time_s,q1_rad,tau1_nm", *rows]) + "\n")
-    assert main(["length", str(folder / "run.csv"), "--rig", str(folder / "rig.toml")]) == 0
+    typed("length", folder / "run.csv", "--rig", folder / "rig.toml")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ class FaultyWire:
     def __init__(self, faults: WireFaults, rng: np.random.Generator) -> None:
         self.injected: Counter[str] = Counter()
         self._faults, self._rng = faults, rng
-        self._held: deque[Any] = deque()
+        self._held: list[Any] = []
 
     @property
     def sound(self) -> bool:
@@ -65,8 +65,7 @@ class FaultyWire:
 
     def release(self) -> list[Any]:
         """A frame that waits to be swapped with one that never came."""
-        held = list(self._held)
-        self._held.clear()
+        held, self._held = self._held, []
         return held
 
     def _dice(self) -> str:
@@ -78,32 +77,24 @@ class FaultyWire:
         return ""
 
     def _mangled(self, frame: Any, kind: str) -> list[Any]:
+        can = isinstance(frame, CanFrame)
         if kind == "drop":
             return []
         if kind == "duplicate":
             return [frame, frame]
-        if isinstance(frame, CanFrame):
-            return self._mangled_can(frame, kind)
-        return self._mangled_bytes(frame, kind)
-
-    def _mangled_bytes(self, frame: bytes, kind: str) -> list[bytes]:
+        if can and kind in ("flip", "cut"):
+            return [frame._replace(data=frame.data[:-1])] if frame.data else []
         if kind == "flip":
             out = bytearray(frame)
             for at in self._rng.choice(8 * len(out), int(self._rng.integers(1, 4)), replace=False):
                 out[at // 8] ^= 1 << int(at) % 8
             return [bytes(out)]
-        if kind == "garbage":
-            return [self._rng.bytes(int(self._rng.integers(1, 91))), frame]
         if kind == "cut":
             return [frame[: int(self._rng.integers(1, len(frame)))], b"\0"]
-        return [frame]
-
-    def _mangled_can(self, frame: CanFrame, kind: str) -> list[CanFrame]:
-        if kind in ("flip", "cut"):
-            return [frame._replace(data=frame.data[:-1])] if frame.data else []
+        if kind == "garbage" and can:
+            return [CanFrame(int(self._rng.integers(2048)), self._rng.bytes(int(self._rng.integers(9)))), frame]
         if kind == "garbage":
-            noise = CanFrame(int(self._rng.integers(2048)), self._rng.bytes(int(self._rng.integers(9))))
-            return [noise, frame]
+            return [self._rng.bytes(int(self._rng.integers(1, 91))), frame]
         return [frame]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers import Drive, Received, State, Telemetry, Wiring, attach
+from drivers import Drive, FaultReport, Received, State, Telemetry, Wiring, attach
 from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, Plant, VirtualClock, drive_facts, drive_maker
 from tests.support.still_plant import StillPlant
 
@@ -18,7 +18,7 @@ class DriveBench:
 
     def __init__(self, kind: str, plant: Plant | None = None, seed: int = 1, settings: FirmwareSettings | None = None,
                  **wiring: Any) -> None:
-        facts = drive_facts(kind)
+        self.kind, facts = kind, drive_facts(kind)
         self.wiring = replace(Wiring(node=facts.node, rate_hz=facts.rate_hz, gear_ratio=50.0, turns=-50.0,
                                      torque_constant_nm_per_a=CONSTANT), **wiring)
         self.clock = VirtualClock()
@@ -26,8 +26,8 @@ class DriveBench:
         self.rig = MockRig(plant or StillPlant(), self.clock, firmware=settings, seed=seed,
                            make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive
-        self.link = EmulatorLink(self.rig.drive, self.clock, seed=seed, nothing=getattr(self.rig.drive, "nothing", b""))
-        self.drive: Drive = attach(kind, self.link, self.wiring, self.clock.now_ns, self.clock.sleep)
+        self.link = EmulatorLink(self.far, self.clock, seed=seed, nothing=getattr(self.far, "nothing", b""))
+        self.drive = self.attached()
 
     def run(self, seconds: float, torque_nm: float | None = None) -> list[Received]:
         """Poll for so long, a torque commanded every 10 ms where one is given."""
@@ -51,6 +51,15 @@ class DriveBench:
             self.run(0.01, 0.0)
             assert self.clock.now_ns() < end, f"did not arm: {self.drive.words}"
 
+    def attached(self, **wiring: Any) -> Drive:
+        """Another driver on the same link, its wiring changed so."""
+        return attach(self.kind, self.link, replace(self.wiring, **wiring), self.clock.now_ns, self.clock.sleep)
+
+    def alone(self, seconds: float) -> None:
+        """The drive goes on for so long while nobody polls."""
+        self.clock.sleep(seconds)
+        self.far.transmit(self.clock.now_ns())
+
     def zero_after(self, since_ns: int) -> float:
         """Time [s] from `since_ns` until the drive asked the motor for nothing for the rest of the record."""
         t_ns, commanded, _ = self.far.record
@@ -65,10 +74,10 @@ def opened(kind: str, plant: Plant | None = None, **wiring: Any) -> DriveBench:
     return bench
 
 
-def driven(kind: str) -> DriveBench:
+def driven(kind: str, watchdog_ms: int = 1000) -> DriveBench:
     """Armed, with a torque of 1 N m."""
     bench = DriveBench(kind)
-    bench.armed(1000)
+    bench.armed(watchdog_ms)
     bench.run(0.05, 1.0)
     return bench
 
@@ -76,6 +85,11 @@ def driven(kind: str) -> DriveBench:
 def telemetry(received: list[Received]) -> list[Telemetry]:
     """The samples among what came."""
     return [one.message for one in received if isinstance(one.message, Telemetry)]
+
+
+def faults(received: list[Received]) -> list[FaultReport]:
+    """The reports of faults among what came."""
+    return [one.message for one in received if isinstance(one.message, FaultReport)]
 
 
 def states(received: list[Received]) -> set[State]:

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from daq import Dataset, FloatArray
+from tests.support import runge_kutta
 from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.timed_leg import DAMPING, SLIP_RADPS, STEP_HZ, STIFFNESS, Timing, logged, planned
 
@@ -58,19 +59,12 @@ class Pinocchio:
         self._data = self._model.createData()
 
     def step(self, q: FloatArray, v: FloatArray, torque: float) -> Step:
-        h, drive = 1.0 / STEP_HZ, np.array([0.0, torque])
+        drive = np.array([0.0, torque])
 
-        def slope(q: FloatArray, v: FloatArray) -> FloatArray:
+        def acceleration(q: FloatArray, v: FloatArray) -> FloatArray:
             return np.array(self._pin.aba(self._model, self._data, q, v, drive - friction(self.leg, v)))
 
-        a1 = slope(q, v)
-        v2 = v + 0.5 * h * a1
-        a2 = slope(q + 0.5 * h * v, v2)
-        v3 = v + 0.5 * h * a2
-        a3 = slope(q + 0.5 * h * v2, v3)
-        v4 = v + h * a3
-        a4 = slope(q + h * v3, v4)
-        return Step(q + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4), a1)
+        return Step(*runge_kutta.step(acceleration, q, v, 1.0 / STEP_HZ))
 
 
 class Bullet:

@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq import InputError, WorkError, parse_rig
-from daq.recording import Plan, record_run
+from daq import InputError, WorkError
+from daq.recording import Plan
 from daq.runs import mcap_run, read_run
-from drivers import DriverError, ImuConfig, LegController, Lsm9ds1
-from drivers.mock import EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from drivers import DriverError, ImuConfig
+from drivers.mock import VirtualClock
 from experiments.emulation.plant import LegPlant
-from tests.support.device_faults import FaultyDisk, FaultyI2C, FaultyLink, FaultyWire, WireFaults
+from tests.support.device_faults import FaultyDisk, FaultyI2C, FaultyWire, WireFaults
+from tests.support.virtual_rig import VirtualRig
 
 MOMENTS = ("arming", "ramp", "driving", "stopping")
 RIG = """[mechanism]
@@ -86,20 +87,15 @@ class Strikes:
         self._strike()
 
 
-class FaultBench(Strikes):
+class FaultBench(VirtualRig, Strikes):
     """One recording; `fault` strikes once, at `moment`."""
 
     def __init__(self, fault: Callable[["FaultBench"], None], moment: str, limits: str = "") -> None:
-        self.clock = VirtualClock()
-        self.mock = MockRig(LegPlant(), self.clock, ImuSettings(), FirmwareSettings(), seed=4)
-        self.firmware, self.chip = self.mock.firmware, self.mock.imu
-        self.link = FaultyLink(EmulatorLink(self.firmware, self.clock), self.clock,
-                               FaultyWire(WireFaults(), np.random.default_rng(1)))
-        self.bus = FaultyI2C(self.chip, {})
-        self.controller = LegController(self.link, self.clock.now_ns)
-        self.controller.open()
-        self.imu = Lsm9ds1(self.bus, config=ImuConfig(238.0), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
-        self.imu.open()
+        super().__init__(LegPlant(), seed=4, config=ImuConfig(238.0),
+                         wire=FaultyWire(WireFaults(), np.random.default_rng(1)))
+        self.chip = self.mock.imu
+        self.imu.bus = self.bus = FaultyI2C(self.chip, {})
+        self.open()
         self.path = Path()
         self.disk: Any = None
         self.plan = PLAN
@@ -110,7 +106,6 @@ class FaultBench(Strikes):
         """Record, then let the rig run on alone for a while."""
         self.path = folder / f"{self._moment}.mcap"
         self.path.unlink(missing_ok=True)
-        text = RIG + "[limits]\n" + self._limits
         said = "nothing: the plan was driven to its end"
         create = mcap_run._create
 
@@ -120,8 +115,7 @@ class FaultBench(Strikes):
 
         mcap_run._create = on_this_disk
         try:
-            record_run(self.path, parse_rig(text), text, self.plan, self.imu, self.controller, self.clock.now_ns,
-                       threaded=False, progress=self._progress)
+            self.save(self.path, RIG + "[limits]\n" + self._limits, self.plan, progress=self._progress)
         except (WorkError, DriverError, ZeroDivisionError) as error:
             said = str(error).split("; what was recorded")[0]
         finally:
@@ -146,6 +140,6 @@ class FaultBench(Strikes):
             raw = read_run(self.path)
         except InputError:
             return "no run any more"
-        last_ns = int(raw.streams["/leg/telemetry"]["host_ns"][-1]) if raw.streams["/leg/telemetry"].size else 0
-        after_ms = (last_ns - self.struck_ns) * 1e-6
+        times_ns = raw.streams["/leg/telemetry"]["host_ns"]
+        after_ms = ((int(times_ns[-1]) if times_ns.size else 0) - self.struck_ns) * 1e-6
         return f"{'whole' if raw.complete else 'cut'}, telemetry to {after_ms:+.0f} ms of the fault"

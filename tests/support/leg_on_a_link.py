@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from drivers import LegController, Pong, Received, State
+from drivers import Drive, LegController, Pong, Received, State
 from drivers.mock import MockRig
 
 PATIENCE_S = 20.0
@@ -17,7 +17,7 @@ def settle(wanted: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def poll_until(controller: LegController, wanted: Callable[[list[Received]], object]) -> list[Received]:
+def poll_until(controller: Drive, wanted: Callable[[list[Received]], object]) -> list[Received]:
     """Received messages up to the first that is wanted."""
     received: list[Received] = []
     deadline = time.monotonic() + PATIENCE_S

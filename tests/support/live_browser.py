@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -192,10 +192,7 @@ class Live:
 @contextmanager
 def open_page(live: Live, network: bool = True) -> Iterator[Browser]:
     """The dashboard in a window, connected."""
-    browser = Browser(network=network)
-    try:
+    with closing(Browser(network=network)) as browser:
         browser.driver.get(live.url)
         browser.wait(lambda: browser.text("controller"), "the page comes up")
         yield browser
-    finally:
-        browser.close()

@@ -1,10 +1,7 @@
 """A register-level magnetometer of the LSM9DS1."""
 
-from collections import deque
-from typing import Any
-
 from drivers import lsm9ds1_mag as mag
-from drivers.mock.chip import NO_ACKNOWLEDGE
+from drivers.mock.chip import MockChip
 from drivers.mock.clock import Clock
 
 DEFAULTS = {mag.WHO_AM_I: mag.WHO_AM_I_VALUE, mag.CTRL_REG1: 0x10, mag.CTRL_REG3: 0x03}
@@ -14,65 +11,38 @@ RANGE = {code: full for full, code in mag.FS_CODE.items()}
 POWER_DOWN = 0x02
 
 
-class MockMagnetometer:
+class MockMagnetometer(MockChip):
     """The chip: a field that a test sets shows up at the output data rate, and moves under self-test."""
 
     def __init__(self, clock: Clock) -> None:
-        self.address = 0x1E
+        super().__init__(clock, 0x1E)
         self.field_gauss = (0.2, 0.0, 0.4)
         """Field in the magnetometer's own axes."""
         self.self_test_mgauss = (2000.0, 2000.0, 500.0)
         """What the self-test adds; zeros for a broken chip."""
-        self.closed = False
-        self._clock = clock
-        self._failures: deque[int] = deque()
-        self._pointer, self._increment = 0, False
         self._power_up()
-
-    def fail(self, errno: int, times: int = 1) -> None:
-        """The next `times` transfers raise OSError(errno)."""
-        self._failures.extend([errno] * times)
-
-    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        """One transaction of smbus2 messages."""
-        if any(message.addr != self.address for message in i2c_msgs):
-            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
-        if self._failures:
-            raise OSError(self._failures.popleft(), "injected")
-        for message in i2c_msgs:
-            if message.flags & 1:
-                for i in range(message.len):
-                    message.buf[i] = bytes([self._next_byte()])
-            else:
-                self._receive(bytes(message))
-
-    def close(self) -> None:
-        """The bus handle is let go of."""
-        self.closed = True
 
     def _power_up(self) -> None:
         self._registers = bytearray(128)
         for register, value in DEFAULTS.items():
             self._registers[register] = value
         self._reset_until: int | None = None
-        self._started_ns = self._clock.now_ns()
-        self._seen = 0
-
-    @property
-    def _rate_hz(self) -> float:
-        return 0.0 if self._registers[mag.CTRL_REG3] & POWER_DOWN else RATE_HZ[self._registers[mag.CTRL_REG1] >> 2 & 7]
+        self._started_ns, self._seen = self._clock.now_ns(), 0
 
     def _count(self) -> int:
         """Readings made since it was started."""
-        return int((self._clock.now_ns() - self._started_ns) * 1e-9 * self._rate_hz)
+        off = self._registers[mag.CTRL_REG3] & POWER_DOWN
+        rate_hz = 0.0 if off else RATE_HZ[self._registers[mag.CTRL_REG1] >> 2 & 7]
+        return int((self._clock.now_ns() - self._started_ns) * 1e-9 * rate_hz)
 
-    def _receive(self, data: bytes) -> None:
-        if not data:
-            return
-        self._pointer, self._increment = data[0] & 0x7F, bool(data[0] & mag.AUTO_INCREMENT)
-        for value in data[1:]:
+    def receive(self, register: int, data: bytes) -> None:
+        self._pointer, self._increment = register & 0x7F, bool(register & mag.AUTO_INCREMENT)
+        for value in data:
             self._store(self._pointer, value)
             self._pointer += self._increment
+
+    def read(self, register: int, count: int) -> bytes:
+        return bytes(self._next_byte() for _ in range(count))
 
     def _store(self, register: int, value: int) -> None:
         if register == mag.WHO_AM_I or mag.STATUS <= register < mag.OUT_X_L + 6:

@@ -26,6 +26,7 @@ from drivers import DriverError, ImuConfig, LinkLost, Lsm9ds1
 from evidence.drive_faults import RIG as DRIVE_RIG
 from evidence.drive_faults import DriveFaultBench
 from tests.support.fault_bench import RIG, FaultBench
+from tests.support.spies import before
 
 RECORD: Any = record
 RUNS: Any = mcap_run
@@ -86,17 +87,8 @@ class NthBench:
             self._imu = Lsm9ds1(bus, config=ImuConfig(238.0), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
             self._controller.open()
             self._imu.open()
-        self._count(link, "read", "read of the link")
-        self._count(bus, "i2c_rdwr", "read of the IMU")
-
-    def _count(self, owner: Any, name: str, kind: str) -> None:
-        whole = getattr(owner, name)
-
-        def call(*args: Any, **kwargs: Any) -> Any:
-            self._operation(kind)
-            return whole(*args, **kwargs)
-
-        setattr(owner, name, call)
+        before(link, "read", lambda: self._operation("read of the link"))
+        before(bus, "i2c_rdwr", lambda *_: self._operation("read of the IMU"))
 
     def _operation(self, kind: str) -> None:
         """Count one; where it is wanted, fail in a copy of this process."""
@@ -152,12 +144,8 @@ class NthBench:
                     bench._flushed = self.messages
 
         create, sync = mcap_run._create, os.fdatasync
-
-        def synced(descriptor: int) -> None:
-            self._operation("sync")
-            sync(descriptor)
-
-        RUNS._create, SYSTEM.fdatasync = lambda path: CountedFile(create(path), self), synced
+        before(os, "fdatasync", lambda _: self._operation("sync"))
+        RUNS._create = lambda path: CountedFile(create(path), self)
         RUNS.time = SimpleNamespace(monotonic=lambda: 1e-9 * self.clock.now_ns(), time_ns=time.time_ns)  # of its syncs
         RECORD.RunWriter = Counted
         try:

@@ -4,13 +4,12 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 
 from daq import InputError
 from daq.recording import Plan, write_plan
@@ -22,7 +21,7 @@ from evidence.kill_processes import start
 from experiments.cli import main as legid
 from tests.support.fault_bench import DRIVING_AT_S, PEAK_NM, RAMP_AT_S, STOPPING_AFTER_S, SWING_HZ
 from tests.support.port_line import Line
-from tests.support.qemu_board import Board
+from tests.support.qemu_board import Board, ahead
 
 WATCHDOG_MS = 100
 STEP_S = 0.01
@@ -66,18 +65,9 @@ class Outcome(NamedTuple):
     """The fault found a recording that had come so far; a computer that is busy may have ended it before."""
 
 
-@contextmanager
-def prompt() -> Iterator[None]:
+def prompt() -> AbstractContextManager[None]:
     """This process ahead of ordinary ones, for a line does not wait; what it starts is ordinary again."""
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(2 * REAL_TIME_PRIORITY))
-    except OSError:
-        pytest.skip("no right to real-time priority here: a line would be late")
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, *before)
+    return ahead(2 * REAL_TIME_PRIORITY, os.SCHED_RR | os.SCHED_RESET_ON_FORK)
 
 
 class PortBench:
@@ -131,13 +121,11 @@ class PortBench:
         """Power up, acknowledge what a board latches at power-up, record, and look on for a while."""
         path, said = folder / "run.mcap", folder / "said.txt"
         path.unlink(missing_ok=True)
-        (folder / "rig.toml").write_text(RIG.replace("PORT", self.line.path))
-        write_plan(PLAN, folder / "plan.csv")
+        command = _command(folder, self.line.path, path)
         with prompt():
             try:
                 self._release()
-                self.host = start(["record", "--rig", str(folder / "rig.toml"), "--plan", str(folder / "plan.csv"),
-                                   "--out", str(path)], said, without=self.line.descriptors)
+                self.host = start(command, said, without=self.line.descriptors)
                 status = self._until_ended()
                 self._pass(AFTER_S)
                 zero_ms, clock = self._zero()
@@ -253,26 +241,29 @@ class PortBench:
             raw = read_run(path)
         except (InputError, OSError):
             return "no run"
-        frames = raw.streams["/leg/telemetry"]
-        if not frames.size:
-            return f"{'whole' if raw.complete else 'cut'}, no telemetry"
-        after_ms = (int(frames["host_ns"][-1]) * 1e-9 - self._struck_s) * 1e3
-        return f"{'whole' if raw.complete else 'cut'}, telemetry to {after_ms:+.0f} ms of the fault"
+        frames, told = raw.streams["/leg/telemetry"], "no telemetry"
+        if frames.size:
+            told = f"telemetry to {int(frames['host_ns'][-1]) * 1e-6 - self._struck_s * 1e3:+.0f} ms of the fault"
+        return f"{'whole' if raw.complete else 'cut'}, {told}"
 
 
 def load_once(folder: Path) -> None:
     """What every forked recording would load: a port that is not there is refused after that."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "rig.toml").write_text(RIG.replace("PORT", "/dev/no-such-port"))
-    write_plan(PLAN, folder / "plan.csv")
-    legid(["record", "--rig", str(folder / "rig.toml"), "--plan", str(folder / "plan.csv"), "--out",
-           str(folder / "none.mcap")])
+    legid(_command(folder, "/dev/no-such-port", folder / "none.mcap"))
+
+
+def _command(folder: Path, port: str, out: Path) -> list[str]:
+    """The words of a recording, for which rig and plan are written."""
+    rig, plan = folder / "rig.toml", folder / "plan.csv"
+    rig.write_text(RIG.replace("PORT", port))
+    write_plan(PLAN, plan)
+    return ["record", "--rig", str(rig), "--plan", str(plan), "--out", str(out)]
 
 
 def _last_words(said: Path) -> str:
     text = said.read_text(errors="replace") if said.exists() else ""
     if "Traceback" in text:
         return f"Traceback: {text.strip()[-200:]}"
-    lines = [line.removeprefix("legid record: ") for line in re.split(r"[\r\n]+", text)
-             if line.startswith("legid record: ")]
+    lines = re.findall(r"(?:^|[\r\n])legid record: ([^\r\n]*)", text)
     return lines[-1].split("; what was recorded")[0] if lines else ""

@@ -10,16 +10,17 @@ import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import pytest
 
 from daq.recording.workers import REAL_TIME_PRIORITY
+from drivers import Closing
 from tests.support.c_firmware import SOURCES
+from tests.support.leg_on_a_link import settle
 
 CC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
 PORT = SOURCES / "port_lm3s6965"
@@ -27,7 +28,6 @@ CORE = [SOURCES / f"leg_{part}.c" for part in ("core", "config", "codec")]
 STRICT = ["-mthumb", "-std=c99", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror"]
 HANG, RETURN = b"\xfe\xe7", b"\x70\x47"
 """Thumb: `b .`, `bx lr`."""
-PATIENCE_S = 20.0
 
 
 def returns(value: int) -> bytes:
@@ -62,13 +62,13 @@ def symbols() -> dict[str, int]:
 
 
 @contextmanager
-def ahead_of_everything() -> Iterator[None]:
-    """What is started meanwhile has a processor whenever it wants one, as a board has; skips where that is refused."""
+def ahead(priority: int, policy: int = os.SCHED_RR) -> Iterator[None]:
+    """This process has a processor whenever it wants one; skips where that is refused."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(4 * REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError:
-        pytest.skip("no right to real-time priority here: the board's own watchdog would bite")
+        pytest.skip("no right to real-time priority here: a line would be late, and the board's own watchdog bite")
     try:
         yield
     finally:
@@ -86,7 +86,7 @@ class Trace(NamedTuple):
     """The first that did."""
 
 
-class Board:
+class Board(Closing):
     """One board, powered up; ahead of other programs where that is granted, for its watchdog knows no excuse."""
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class Board:
         words = [str(QEMU), "-M", "lm3s6965evb", "-kernel", str(elf()), "-display", "none", "-monitor", "none",
                  "-serial", "pty", "-qmp", f"unix:{self._places}/qmp,server=on,wait=off",
                  "-gdb", f"unix:{self._places}/gdb,server=on,wait=off"]
-        with ahead_of_everything():
+        with ahead(4 * REAL_TIME_PRIORITY):  # what is started meanwhile too, as a board has its processor
             self._child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         assert self._child.stdout is not None
         said = re.search(r"/dev/\S+", self._child.stdout.readline())
@@ -116,16 +116,9 @@ class Board:
 
     def _connect(self, name: str) -> socket.socket:
         line = socket.socket(socket.AF_UNIX)
-        self._until(lambda: (self._places / name).exists())
+        settle(lambda: (self._places / name).exists())
         line.connect(str(self._places / name))
         return line
-
-    @staticmethod
-    def _until(condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
 
     def _do(self, what: str, **arguments: Any) -> Any:
         self._line.write(json.dumps({"execute": what, "arguments": arguments}) + "\n")
@@ -168,11 +161,11 @@ class Board:
         """To the emulator's process: SIGSTOP holds the processor, and time goes on."""
         self._child.send_signal(number)
 
-    def zero_after_s(self, from_s: float, patience_s: float = 2.0) -> float:
+    def zero_after_s(self, from_s: float) -> float:
         """Time from then until the bridge was last asked and had a torque [s]; who asks may be late, not the board."""
         last_s = asked_s = time.monotonic()
         while self.bridge_nm():
-            assert asked_s < from_s + patience_s, "still driven"
+            assert asked_s < from_s + 2.0, "still driven"
             last_s, asked_s = asked_s, time.monotonic()
         return last_s - from_s
 
@@ -180,7 +173,7 @@ class Board:
         """Put other code where a function begins, as a debugger does; returns what stood there. Resets keep it."""
         place = f"{symbols()[function]:x},{len(code):x}"
         with self._connect("gdb") as line:  # which halts the board
-            before, _, _ = (self._debug(line, packet) for packet in (f"m{place}", f"M{place}:{code.hex()}", "D"))
+            before, *_ = (self._debug(line, packet) for packet in (f"m{place}", f"M{place}:{code.hex()}", "D"))
         return bytes.fromhex(before)
 
     @staticmethod
@@ -200,10 +193,3 @@ class Board:
         self._child.kill()
         self._child.wait()
         shutil.rmtree(self._places)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()

@@ -1,5 +1,6 @@
 """A run of legid's own kinds on the grid of a rig, without the floor that reads other programs' files."""
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,16 @@ def with_columns(run: Dataset, **columns: np.ndarray) -> Dataset:
 def without(run: Dataset, *names: str) -> Dataset:
     """The run without these columns."""
     return replace(run, columns={name: values for name, values in run.columns.items() if name not in names})
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """(opcode, start, end) of every record in an MCAP file, those inside chunks apart."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
 
 
 def load_run(path: Path, rig: Rig, rate_hz: float | None = None) -> Dataset:

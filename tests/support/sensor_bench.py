@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from daq import WorkError, parse_rig
-from daq.recording import Plan, RecordReport, Sensors, record_run
+from daq import WorkError
+from daq.recording import Plan, RecordReport, Sensors
 from daq.runs import RawRun, read_run
-from drivers import As5600, CurrentShunt, LegController, Lsm9ds1, State
-from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, PivotSettings, ShuntSettings, VirtualClock
+from drivers import As5600, CurrentShunt, State
+from drivers.mock import FirmwareSettings, PivotSettings, ShuntSettings
 from tests.support.recordings import RIG, sine
-from tests.support.still_plant import StillPlant
+from tests.support.virtual_rig import VirtualRig
 
 TABLES = """[devices.pivot]
 sign = -1
@@ -25,7 +25,7 @@ pivot_zero_rad = 0.4
 MAGNET = PivotSettings(zero_rad=-0.4, sign=-1)
 
 
-class RigBench:
+class RigBench(VirtualRig):
     """Its devices are open; without `imu` it has none."""
 
     tables = "[limits]\n"
@@ -33,21 +33,15 @@ class RigBench:
 
     def __init__(self, path: Path, plant: Any = None, imu: bool = True, chips: dict[str, Any] | None = None,
                  **firmware: Any) -> None:
-        self.path, self.clock = path, VirtualClock()
-        self.mock = MockRig(plant or StillPlant(), self.clock, firmware=FirmwareSettings(**firmware), seed=2,
-                            **chips or {})
-        self.link = EmulatorLink(self.mock.firmware, self.clock)
-        self.controller = LegController(self.link, self.clock.now_ns)
+        super().__init__(plant, firmware=FirmwareSettings(**firmware), seed=2, **chips or {})
+        self.path, self.has_imu = path, imu
         self.controller.open()
-        self.times: dict[str, Any] = {"now_ns": self.clock.now_ns, "sleep": self.clock.sleep}
-        self.imu = Lsm9ds1(self.mock.bus, **self.times) if imu else None
-        if self.imu is not None:
+        if imu:
             self.imu.open()
 
     def record(self, plan: Plan | None = None, limits: str = "", on_progress: Any = None) -> RecordReport:
-        text = RIG.replace("[limits]\n", self.tables) + limits
-        return record_run(self.path, parse_rig(text), text, plan or sine(0.8), self.imu, self.controller,
-                          self.clock.now_ns, threaded=False, progress=on_progress, sensors=self.sensors)
+        return self.save(self.path, RIG.replace("[limits]\n", self.tables) + limits, plan or sine(0.8),
+                         imu=self.imu if self.has_imu else None, progress=on_progress, sensors=self.sensors)
 
     def fails(self, plan: Plan | None = None, limits: str = "", on_progress: Any = None) -> tuple[str, RawRun]:
         """One line of the failure with the motor off, and the run that was kept."""
@@ -57,9 +51,8 @@ class RigBench:
         assert "\n" not in line and str(self.path) in line
         self.controller.close()  # brings what is still on the wire
         self.clock.sleep(0.2)
-        self.mock.firmware.transmit(self.clock.now_ns())
-        assert self.mock.firmware.drive.torque_nm == 0.0
-        assert self.mock.firmware.drive.state != State.ARMED
+        self.firmware.transmit(self.clock.now_ns())
+        assert self.firmware.drive.torque_nm == 0.0 and self.firmware.drive.state != State.ARMED
         return line, read_run(self.path)
 
 
@@ -72,8 +65,8 @@ class SensorBench(RigBench):
                  magnet: PivotSettings = MAGNET, **firmware: Any) -> None:
         chips = {"pivot": magnet, "shunt": shunt or ShuntSettings(), "shunt_kind": "ina228"}
         super().__init__(path, plant, imu, chips, **firmware)
-        self.pivot = As5600(self.mock.bus, **self.times)
-        self.shunt = CurrentShunt(self.mock.bus, "ina228", 0.01, 200.0, **self.times)
-        self.pivot.open()
-        self.shunt.open()
-        self.sensors = Sensors(self.pivot, self.shunt)
+        pivot = As5600(self.mock.bus, **self.times)
+        current = CurrentShunt(self.mock.bus, "ina228", 0.01, 200.0, **self.times)
+        pivot.open()
+        current.open()
+        self.sensors = Sensors(pivot, current)

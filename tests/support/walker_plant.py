@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from daq import Dataset, FloatArray
+from tests.support import runge_kutta
 
 GRAVITY = 9.8
 Law = Callable[[int, float, float, float], float]
@@ -141,17 +142,7 @@ class Plant:
     def advance(self, angle: FloatArray, rate: FloatArray, torque: FloatArray, stance: int, h: float
                 ) -> tuple[FloatArray, FloatArray]:
         """State a time h later, classical Runge-Kutta."""
-        def slope(x: FloatArray, v: FloatArray) -> FloatArray:
-            return self.acceleration(x, v, torque, stance)
-
-        a1 = slope(angle, rate)
-        v2 = rate + 0.5 * h * a1
-        a2 = slope(angle + 0.5 * h * rate, v2)
-        v3 = rate + 0.5 * h * a2
-        a3 = slope(angle + 0.5 * h * v2, v3)
-        v4 = rate + h * a3
-        a4 = slope(angle + h * v3, v4)
-        return angle + h / 6.0 * (rate + 2 * v2 + 2 * v3 + v4), rate + h / 6.0 * (a1 + 2 * a2 + 2 * a3 + a4)
+        return runge_kutta.step(lambda x, v: self.acceleration(x, v, torque, stance), angle, rate, h)[:2]
 
     def land(self, angle: FloatArray, rate: FloatArray) -> FloatArray:
         """(3,) rates just after the swing foot has landed: the foot's impulse F is found with the walker afloat.

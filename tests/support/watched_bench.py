@@ -10,26 +10,19 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq import parse_rig
-from daq.recording import ALIVE, PACKET_BYTES, Ended, Heard, Plan, Remote, Status, record_run, watched_by
+from daq.recording import ALIVE, PACKET_BYTES, Ended, Heard, Plan, Remote, Status, watched_by
 from daq.runs import read_run
-from drivers import LegController, Lsm9ds1
-from drivers.mock import EmulatorLink, MockRig, VirtualClock
-from tests.support.still_plant import StillPlant
+from tests.support.virtual_rig import VirtualRig
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
 
 
-class Bench:
+class Bench(VirtualRig):
     """A recording on virtual time with a watcher at the other end of the line."""
 
     def __init__(self, folder: Path, seconds: float = 2.0) -> None:
-        self.clock = VirtualClock()
-        self.mock = MockRig(StillPlant(), self.clock)
-        self.controller = LegController(EmulatorLink(self.mock.firmware, self.clock), self.clock.now_ns)
-        self.controller.open()
-        self.imu = Lsm9ds1(self.mock.imu, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
-        self.imu.open()
+        super().__init__()
+        self.open()
         t = np.arange(0.0, seconds, 0.01)
         self.plan = Plan(t, np.full(t.size, 0.4))
         folder.mkdir(exist_ok=True)
@@ -51,11 +44,7 @@ class Bench:
         with watched_by(descriptor) as remote:
             assert remote is not None
 
-            def progress(now_s: float, _: float) -> None:
-                happens(now_s, remote)
-
-            record_run(self.path, parse_rig(RIG), RIG, self.plan, self.imu, self.controller, self.clock.now_ns,
-                       threaded=False, progress=progress, remote=remote)
+            self.save(self.path, RIG, self.plan, progress=lambda now_s, _: happens(now_s, remote), remote=remote)
 
     def _beat(self) -> None:
         with suppress(OSError):  # a test may have closed it
@@ -73,7 +62,7 @@ class Bench:
             try:
                 packet = self.watcher.recv(PACKET_BYTES)
             except BlockingIOError:
-                return self.packets
+                packet = b""
             if not packet:
                 return self.packets
             self.packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))

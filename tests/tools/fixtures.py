@@ -6,7 +6,6 @@ Everything is drawn from one seed and runs on virtual time through the byte-leve
 import argparse
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 from daq import ImuDevice, WorkError, parse_rig
@@ -37,13 +36,13 @@ class Bench:
             self.text = self.text.replace(old, new)
         self.rig = parse_rig(self.text)
         c, (imu_noise, shunt_noise) = self.rig.calibration, NOISE.get(name, (1.0, 1.0))
-        imu = ImuSettings(gyro_bias_radps=c.gyro_bias_radps)
+        imu = ImuSettings(gyro_bias_radps=c.gyro_bias_radps,
+                          gyro_noise_radps=imu_noise * ImuSettings.gyro_noise_radps,
+                          accel_noise_mps2=imu_noise * ImuSettings.accel_noise_mps2)
         firmware = FirmwareSettings(
             telemetry_hz=250, first_tick_us=2**32 - 3_000_000, knee_zero_rad=c.knee_zero_rad,
-            shunt_offset_a=c.shunt_offset_a, torque_constant_nm_per_a=c.torque_constant_nm_per_a)
-        imu = replace(imu, gyro_noise_radps=imu_noise * imu.gyro_noise_radps,
-                      accel_noise_mps2=imu_noise * imu.accel_noise_mps2)
-        firmware = replace(firmware, current_noise_a=shunt_noise * firmware.current_noise_a)
+            shunt_offset_a=c.shunt_offset_a, torque_constant_nm_per_a=c.torque_constant_nm_per_a,
+            current_noise_a=shunt_noise * FirmwareSettings.current_noise_a)
         self.mock = MockRig(LegPlant(), self.clock, imu, firmware, seed)
         self.link = EmulatorLink(self.mock.firmware, self.clock, seed=seed)
         self.plan: Plan = random_multisine(seed, SECONDS, PEAKS.get(name, PEAK_NM))

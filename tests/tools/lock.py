@@ -10,6 +10,7 @@ import argparse
 import re
 import subprocess
 import tomllib
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -65,14 +66,12 @@ def wheels(uv: str, name: str) -> str:
     """"" where each platform has a wheel of everything but `SOURCE_ONLY`, else what the resolver says."""
     text = (ROOT / name).read_text(encoding="utf-8")
     pins = "".join(f"{r}\n" for r in entries(text) if r.split("==")[0] not in SOURCE_ONLY)
-    for platform in PLATFORMS:
-        for python in PYTHONS:
-            done = subprocess.run([uv, "pip", "compile", "--quiet", "--no-config", "--no-build", "--no-deps",
-                                   "--no-python-downloads",
-                                   "--python-platform", platform, "--python-version", python, "-"], input=pins,
-                                  capture_output=True, text=True)
-            if done.returncode:
-                return f"{name}, {platform}, Python {python}: {done.stderr.strip()}"
+    for platform, python in product(PLATFORMS, PYTHONS):
+        done = subprocess.run([uv, "pip", "compile", "--quiet", "--no-config", "--no-build", "--no-deps",
+                               "--no-python-downloads", "--python-platform", platform, "--python-version", python, "-"],
+                              input=pins, capture_output=True, text=True)
+        if done.returncode:
+            return f"{name}, {platform}, Python {python}: {done.stderr.strip()}"
     return ""
 
 

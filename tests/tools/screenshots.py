@@ -7,7 +7,7 @@ emulated leg.
 import argparse
 import io
 import time
-from contextlib import redirect_stdout
+from contextlib import closing, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,7 +15,6 @@ import numpy as np
 from PIL import Image
 
 from estimator.model import leg2
-from experiments import cli
 from experiments.console import write_text
 from experiments.models import load_model
 from experiments.reports import BLUE, GREEN, ORANGE, Line, plot_lines, standalone, trace_plot, window
@@ -25,6 +24,7 @@ from experiments.session import prepare
 from experiments.workflows import run_demo, validate_in_mujoco, validate_prepared
 from tests.support.live_browser import Browser, Live, open_page
 from tests.support.paths import ROOT
+from tests.support.shell import typed
 
 DOCS = ROOT / "docs"
 PICTURES = DOCS / "pictures"
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def mujoco_plot(demo: Path) -> str:
     """The knee of a demo's last run: measured, the nominal model as plain MJCF, the extended one as exported."""
-    held = str(sorted(demo.glob("demo-run*.mcap"))[-1])
+    held = str(max(demo.glob("demo-run*.mcap")))
     rig, found = choose_rig(None, [held]).rig, {}
     for name, label in (("model", "plain MJCF"), ("extended", "exported, with the spring")):
         model = load_model(demo / f"{name}.json")
@@ -74,17 +74,13 @@ def mujoco_plot(demo: Path) -> str:
 
 def take_pages(demo: Path) -> None:
     """The first screen of a fit, a diagnosis, a comparison."""
-    held = sorted(map(str, demo.glob("demo-run*.mcap")))[-1]
+    held = max(demo.glob("demo-run*.mcap"))
     with redirect_stdout(io.StringIO()):
-        assert cli.main(["compare", str(demo / "model.json"), str(demo / "extended.json"), held, "--html",
-                         str(demo / "compare.html")]) == 0
-    browser = Browser((WIDE, HIGH))
-    try:
+        typed("compare", demo / "model.json", demo / "extended.json", held, "--html", demo / "compare.html")
+    with closing(Browser((WIDE, HIGH))) as browser:
         for name, page in (("fit", "fit.html"), ("diagnosis", "report.html"), ("compare", "compare.html")):
             browser.driver.get((demo / page).as_uri())
             save(browser, name)
-    finally:
-        browser.close()
 
 
 def take_live(out: Path) -> None:
@@ -104,8 +100,9 @@ def save(browser: Browser, name: str) -> None:
     """As a PNG of few colours: pages are flat, and the repository keeps every version."""
     time.sleep(0.5)
     picture = Image.open(io.BytesIO(browser.driver.get_screenshot_as_png())).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(PICTURES / f"{name}.png", optimize=True)
-    print(f"{PICTURES / f'{name}.png'}: {(PICTURES / f'{name}.png').stat().st_size // 1024} KiB")
+    path = PICTURES / f"{name}.png"
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size // 1024} KiB")
 
 
 if __name__ == "__main__":

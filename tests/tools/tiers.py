@@ -7,9 +7,9 @@ A case that is in KEPT stays in the fast tier whatever it takes: one whole verb 
 """
 
 import argparse
-import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -56,14 +56,13 @@ def main() -> None:
     parser.add_argument("report", type=Path)
     parser.add_argument("--over", type=float, default=1.2, help="seconds from which on a case is slow")
     given = parser.parse_args()
-    cases = dict(times(given.report))
-    over = {name for name, seconds in cases.items() if seconds > given.over and not name.startswith(KEPT)}
-    whole = {re.sub(r"\[.*", "", name) for name in over}
-    whole = {function for function in whole
-             if all(name in over for name in cases if name.startswith((f"{function}[", function))
-                    and re.sub(r"\[.*", "", name) == function)}
+    functions: dict[str, dict[str, bool]] = defaultdict(dict)
+    for name, seconds in times(given.report):
+        functions[name.partition("[")[0]][name] = seconds > given.over and not name.startswith(KEPT)
+    over = {name for function, cases in functions.items()
+            for name in ([function] if all(cases.values()) else [case for case, long in cases.items() if long])}
     tiers = read()
-    tiers["slow"] = sorted({*tiers["slow"], *whole, *(name for name in over if re.sub(r"\[.*", "", name) not in whole)})
+    tiers["slow"] = sorted({*tiers["slow"], *over})
     write(tiers)
 
 

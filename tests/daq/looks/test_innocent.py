@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from daq.looks import Look, look
 from daq.runs.csv_run import RawTable
 from daq.timing.resample import align_table
-from tests.support.motions import MOTIONS, healthy
+from tests.support.motions import MOTIONS, healthy, pendulum
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
@@ -30,8 +29,7 @@ def test_what_a_joint_can_do_is_no_fault(kind: str, rate_hz: float, encoder: str
 def test_a_swing_that_rests_for_long_is_one_series(rate_hz: float, friction: float, rest_s: float) -> None:
     """No scale of it is a median: at rest that is zero."""
     time = np.arange(0.0, 14.0, 1.0 / rate_hz)
-    swing = solve_ivp(lambda t, x: [x[1], -40.0 * np.sin(x[0]) - friction * x[1] - 0.5 * np.tanh(x[1] / 0.01)],
-                      (0.0, 14.0), [1.9, 0.0], t_eval=time, max_step=0.01).y[0]
+    swing = pendulum(time, lambda t: 0.0, 1.9, 0.0, (friction, 0.5), 40.0)
     angle = np.round(np.append(swing, np.full(round(rest_s * rate_hz), swing[-1])) * 1200.0 / np.pi) * np.pi / 1200.0
     found = look(np.arange(angle.size) / rate_hz, {"q1_rad": angle})
     assert not found.faults and np.array_equal(found.columns["q1_rad"], angle)
@@ -58,12 +56,9 @@ def lossy(value: float, rows: list[tuple[int, int]], rate_hz: float, push: float
     """A driven pendulum whose encoder reads `value` in `rows`: its angle, what is in the wrong rows, and the look."""
     time = np.arange(round(15.0 * rate_hz)) / rate_hz
     torque = 2.5 * np.sin(2.0 * np.pi * 0.45 * time) + 2.0 * np.sin(2.0 * np.pi * 0.83 * time + 1.0) + push
-    angle = solve_ivp(lambda t, x: [x[1], (np.interp(t, time, torque) - 4.0 * np.sin(x[0]) - 0.4 * x[1]) / 0.3],
-                      (0.0, 15.0), [0.4, 0.0], t_eval=time, max_step=0.02).y[0]
+    angle = pendulum(time, lambda t: np.interp(t, time, torque) / 0.3, 0.4, 0.0, (0.4 / 0.3, 0.0), 4.0 / 0.3)
     angle = np.round(angle / 4e-4) * 4e-4
-    wrong = np.zeros(time.size, bool)
-    for start, stop in rows:
-        wrong[start:stop] = True
+    wrong = np.isin(np.arange(time.size), np.concatenate([np.arange(*row) for row in rows]))
     return angle, wrong, look(time, {"q1_rad": np.where(wrong, value, angle), "tau1_nm": torque})
 
 
@@ -75,8 +70,7 @@ def test_readings_lost_for_moments_are_left_out_and_nothing_behind_them_moves(
         value: float, rows: list[tuple[int, int]], rate_hz: float, push: float) -> None:
     angle, wrong, found = lossy(value, rows, rate_hz, push)
     assert {fault.what for fault in found.faults} <= {"isolated", "frozen"}
-    assert_array_equal(np.isnan(found.columns["q1_rad"]), wrong)
-    assert_array_equal(found.columns["q1_rad"][~wrong], angle[~wrong])
+    assert_array_equal(found.columns["q1_rad"], np.where(wrong, np.nan, angle))
     places = sorted(place for fault in found.faults for place in fault.rows)
     assert places == [(start + 1, stop) for start, stop in rows]
 
@@ -110,9 +104,9 @@ def test_as_read_takes_what_is_refused_otherwise() -> None:
 def test_a_rate_that_was_made_from_an_angle_is_zero_at_rest(rate_hz: float, seconds: float) -> None:
     """As in a public record: velocities that a log computed, with a rest before a release."""
     time = np.arange(round(20.0 * rate_hz)) / rate_hz
-    rate = np.where(time > seconds, 3.0 * np.sin(5.0 * (time - seconds)) * np.exp(-0.1 * time), 0.0)
-    rate += np.where(time > seconds, 0.05 * np.random.default_rng(1).normal(size=time.size), 0.0)
-    assert not look(time, {"gyro_radps": rate}).faults
+    rate = 3.0 * np.sin(5.0 * (time - seconds)) * np.exp(-0.1 * time) + 0.05 * np.random.default_rng(1).normal(
+        size=time.size)
+    assert not look(time, {"gyro_radps": np.where(time > seconds, rate, 0.0)}).faults
 
 
 @pytest.mark.parametrize("flip", [3.065, 2.9, 1.4])

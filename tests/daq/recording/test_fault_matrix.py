@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from daq.recording import Plan
-from drivers import Telemetry
 from evidence.fault_list import FAULTS
 from evidence.faults import TARGET_MS, strike
 from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome
@@ -62,14 +61,14 @@ def test_the_matrix_has_its_cells() -> None:
 
 def lacks(folder: Path, limits: str, **fields: Any) -> Outcome:
     """A healthy run on a rig whose telemetry never had these readings."""
-    def says(truth: Telemetry) -> Telemetry:
-        return replace(truth, **fields)
-
     bench = FaultBench(lambda bench: None, "never", limits)
-    bench.firmware.says = says
+    bench.firmware.says = lambda truth: replace(truth, **fields)
     bench.clock.sleep(0.02)
     bench.controller.poll()  # what was under way before
     return bench.run(folder)
+
+
+NAN = float("nan")
 
 
 def test_a_healthy_swing_is_driven_to_its_end(tmp_path: Path) -> None:
@@ -77,16 +76,13 @@ def test_a_healthy_swing_is_driven_to_its_end(tmp_path: Path) -> None:
 
 
 def test_without_a_pivot_sensor_the_imu_keeps_the_limit(tmp_path: Path) -> None:
-    nan = float("nan")
-    assert lacks(tmp_path, "", pivot_hall_rad=nan).said.startswith("nothing")
-    found = lacks(tmp_path, "q1_rad = 0.1\n", pivot_hall_rad=nan)
-    assert found.said.startswith("limit q1_rad tripped: pivot angle")
+    for limits, said in (("", "nothing"), ("q1_rad = 0.1\n", "limit q1_rad tripped: pivot angle")):
+        assert lacks(tmp_path, limits, pivot_hall_rad=NAN).said.startswith(said)
 
 
 def test_a_sensor_that_the_rig_never_had_is_given_up_on_purpose_or_refused(tmp_path: Path) -> None:
-    nan = float("nan")
-    given_up = lacks(tmp_path, 'unchecked = ["temperature_degc", "bus_v"]\n', motor_degc=nan, bus_v=nan)
+    given_up = lacks(tmp_path, 'unchecked = ["temperature_degc", "bus_v"]\n', motor_degc=NAN, bus_v=NAN)
     assert given_up.said.startswith("nothing")
-    refused = lacks(tmp_path, "", motor_degc=nan)
+    refused = lacks(tmp_path, "", motor_degc=NAN)
     assert refused.said.startswith("limit temperature_degc tripped: motor temperature in degC cannot be checked")
     assert refused.zero_ms == 0.0

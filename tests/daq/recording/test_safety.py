@@ -57,9 +57,8 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.fixture
 def firmware() -> Iterator[Served]:
-    served = Served()
-    yield served
-    served.close()
+    with Served() as served:
+        yield served
 
 
 class Recording:
@@ -67,29 +66,24 @@ class Recording:
 
     def __init__(self, firmware: Served, folder: Path, watchdog_ms: int, limits: str = "", program: str = "") -> None:
         self.run = folder / "run.mcap"
-        (folder / "rig.toml").write_text(RIG.format(port=firmware.path, watchdog_ms=watchdog_ms) + limits)
-        t = np.arange(0.0, 60.0, 0.01)
-        write_plan(Plan(t, 0.3 + 0.1 * np.sin(20 * t)), folder / "plan.csv")
+        rig, plan, t = folder / "rig.toml", folder / "plan.csv", np.arange(0.0, 60.0, 0.01)
+        rig.write_text(RIG.format(port=firmware.path, watchdog_ms=watchdog_ms) + limits)
+        write_plan(Plan(t, 0.3 + 0.1 * np.sin(20 * t)), plan)
         start = ["-c", program] if program else ["-m", "experiments.cli"]
         self.child = subprocess.Popen(
-            [sys.executable, *start, "record", "--rig", folder / "rig.toml", "--plan", folder / "plan.csv", "--out",
-             self.run], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+            [sys.executable, *start, "record", "--rig", rig, "--plan", plan, "--out", self.run], cwd=ROOT,
+            stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         self.firmware = firmware
 
     def driving(self) -> None:
         """Wait until the motor has had its torque for a while."""
         self.firmware.record_until(lambda change: len(self.firmware.changes) > 40)
 
-    def ended(self) -> tuple[int, str]:
-        """Exit status and what was said."""
+    def failed(self, status: int = 1) -> str:
+        """What was said by one that ended with this status."""
         _, said = self.child.communicate(timeout=60)
-        return self.child.returncode, said
-
-    def failed(self) -> str:
-        """What was said by one that failed."""
-        status, words = self.ended()
-        assert status == 1
-        return words
+        assert self.child.returncode == status
+        return said
 
     def off(self) -> Change:
         """The firmware's change to a state other than ARMED."""
@@ -105,11 +99,11 @@ def test_signals_ramp_down_and_stop(firmware: Served, tmp_path: Path, number: in
     end = recording.off()
     assert (end.state, end.torque_unm, end.faults) == (State.DISARMED, 0, 0)
     words = recording.failed()
-    assert said in words
-    assert "internal error" not in words
+    assert said in words and "internal error" not in words
     # ramped down first, then disarmed; the last zero and the stop may reach the firmware in one chunk
-    assert abs(firmware.changes[-2].torque_unm) < 0.1 * max(abs(c.torque_unm) for c in firmware.changes)
-    assert firmware.changes[-2].state == State.ARMED
+    last = firmware.changes[-2]
+    assert last.state == State.ARMED
+    assert abs(last.torque_unm) < 0.1 * max(abs(c.torque_unm) for c in firmware.changes)
 
 
 def test_a_killed_process_is_stopped_by_the_watchdog_in_its_time(firmware: Served, tmp_path: Path) -> None:
@@ -117,15 +111,12 @@ def test_a_killed_process_is_stopped_by_the_watchdog_in_its_time(firmware: Serve
     recording.driving()
     recording.child.kill()
     end = recording.off()
-    cold, armed, *_ = firmware.changes
-    assert (cold.state, cold.torque_unm) == (State.DISARMED, 0)
-    assert (armed.state, armed.torque_unm) == (State.ARMED, 0)
+    assert [(c.state, c.torque_unm) for c in firmware.changes[:2]] == [(State.DISARMED, 0), (State.ARMED, 0)]
     assert (end.state, end.torque_unm, end.faults) == (State.FAULT, 0, Fault.WATCHDOG)
     assert 400_000_000 <= end.value <= 400_500_000  # by the firmware's clock, since the last command, 1e-6 ms
-    recording.ended()
+    recording.failed(-signal.SIGKILL)
     raw = read_run(recording.run)
-    assert not raw.complete
-    assert raw.streams["/leg/telemetry"].size > 100
+    assert not raw.complete and raw.streams["/leg/telemetry"].size > 100
 
 
 def test_a_process_that_hangs_is_stopped_by_the_watchdog(firmware: Served, tmp_path: Path) -> None:
@@ -150,18 +141,14 @@ def test_a_crash_of_any_thread_stops_the_motor(firmware: Served, tmp_path: Path,
     recording = Recording(firmware, tmp_path, 1000, program=program)
     end = recording.off()
     assert (end.state, end.torque_unm, end.faults) == (State.DISARMED, 0, 0)  # stopped, not left to the watchdog
-    words = recording.failed()
-    assert "crashed on purpose" in words
-    assert "Traceback" not in words
-    raw = read_run(recording.run)
-    assert "crashed on purpose" in raw.events[-1].text
-    assert "stop sent" in raw.events[-1].text
+    words, told = recording.failed(), read_run(recording.run).events[-1].text
+    assert "crashed on purpose" in words and "Traceback" not in words
+    assert "crashed on purpose" in told and "stop sent" in told
 
 
 def test_the_limit_that_acted_is_named_to_the_user_and_in_the_file(firmware: Served, tmp_path: Path) -> None:
     recording = Recording(firmware, tmp_path, 1000, "temperature_degc = 20.0\n")  # the motor has 25
-    words = recording.failed()
-    assert "limit temperature_degc tripped: motor temperature in degC is 25, allowed is 20" in words
+    assert ("limit temperature_degc tripped: motor temperature in degC is 25, allowed is 20"
+            in recording.failed())
     raw = read_run(recording.run)
-    assert raw.complete
-    assert raw.events[-1].kind == "limit temperature_degc"
+    assert raw.complete and raw.events[-1].kind == "limit temperature_degc"

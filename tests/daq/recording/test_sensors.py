@@ -1,6 +1,5 @@
 """Pivot sensor and second shunt beside IMU and controller: recorded, aligned, supervised; every fault ends the run."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,11 @@ from tests.support.recordings import RIG, Turning, at
 from tests.support.runs import load_run
 from tests.support.sensor_bench import TABLES, SensorBench
 
-
-def zero_after_s(bench: SensorBench, since_ns: int) -> float:
-    """From a time to the last torque that was asked of the current loop."""
-    t_ns, asked, _ = bench.mock.firmware.record
-    return float(t_ns[np.flatnonzero(asked)[-1]] - since_ns) * 1e-9
+STALE = "limit staleness_s tripped: time in s without a valid current of the second shunt"
 
 
-def test_both_are_recorded_and_come_back_in_si_units(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap", shunt=ShuntSettings(offset_v=2e-4))
+def test_both_are_recorded_and_come_back_in_si_units(path: Path) -> None:
+    bench = SensorBench(path, shunt=ShuntSettings(offset_v=2e-4))
     bench.record()
     raw = read_run(bench.path)
     assert raw.streams["/pivot"].size == pytest.approx(2.1 * 200, rel=0.12)
@@ -37,20 +32,18 @@ def test_both_are_recorded_and_come_back_in_si_units(tmp_path: Path) -> None:
     assert "pivot sensor" in decode(raw, recorded_rig(raw)).clocks
 
 
-def test_the_angle_goes_on_where_the_chip_wraps(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap", Turning(0.0, 5.5, joint=1), imu=False)
+def test_the_angle_goes_on_where_the_chip_wraps(path: Path) -> None:
+    bench = SensorBench(path, Turning(0.0, 5.5, joint=1), imu=False)
     bench.fails(limits="q1_rad = 7.0\n")  # it passes the limit, more than a turn away, and not one of them sooner
     raw = read_run(bench.path)
-    data = load_run(bench.path, recorded_rig(raw), 100.0)
-    q1 = data["q1_rad"]
-    assert np.abs(np.diff(q1) - 0.055).max() < 0.01  # no jump
-    assert q1[-1] > 6.5
+    q1 = load_run(bench.path, recorded_rig(raw), 100.0)["q1_rad"]
+    assert np.abs(np.diff(q1) - 0.055).max() < 0.01 and q1[-1] > 6.5  # no jump
     assert (np.diff(raw.streams["/pivot"]["raw"].astype(int)) > 2000).any()  # the chip's count did wrap
 
 
-def test_times_are_right(tmp_path: Path) -> None:
+def test_times_are_right(path: Path) -> None:
     """A pivot that turns steadily shows by how much the sensor's times are off; without an IMU they bound the clock."""
-    bench = SensorBench(tmp_path / "r.mcap", Turning(0.3, 0.4, joint=1), imu=False, magnet=PivotSettings(-0.4, -1, 0.0))
+    bench = SensorBench(path, Turning(0.3, 0.4, joint=1), imu=False, magnet=PivotSettings(-0.4, -1, 0.0))
     bench.record()
     raw = read_run(bench.path)
     data = load_run(bench.path, recorded_rig(raw), 200.0)
@@ -62,43 +55,42 @@ def test_times_are_right(tmp_path: Path) -> None:
     assert abs(late_s) < data.clock_bound_s and 1e-4 < data.clock_bound_s < 1e-3
 
 
-@pytest.mark.parametrize("fault, line", [
-    (lambda b: setattr(b.mock.pivot, "status", 0), "limit q1_rad tripped: pivot angle in rad cannot be checked"),
-    (lambda b: b.mock.pivot.fail(121, 9), "AS5600 at 0x36: no acknowledge; check wiring"),
-    (lambda b: b.mock.pivot.brown_out(), "AS5600 at 0x36: register CONF reads 0x0000 after 0x0300"),
-    (lambda b: setattr(b.mock.pivot, "held_at", 0), "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
-    (lambda b: setattr(b.mock.pivot, "held_at", 255), "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
-    (lambda b: b.mock.shunt.fail(121, 9), "INA228 at 0x40: no acknowledge; check wiring"),
-    (lambda b: b.mock.shunt.brown_out(), "INA228 at 0x40: register 0x01 reads 0xFB68 after"),
-    (lambda b: setattr(b.mock.shunt, "converting", False),
-     "limit staleness_s tripped: time in s without a valid current of the second shunt"),
-    (lambda b: setattr(b.mock, "_per_a", 0.001),
-     "limit staleness_s tripped: time in s without a valid current of the second shunt"),
+@pytest.mark.parametrize("part, name, value, line", [
+    ("pivot", "status", 0, "limit q1_rad tripped: pivot angle in rad cannot be checked"),
+    ("pivot", "fail", (121, 9), "AS5600 at 0x36: no acknowledge; check wiring"),
+    ("pivot", "brown_out", (), "AS5600 at 0x36: register CONF reads 0x0000 after 0x0300"),
+    ("pivot", "held_at", 0, "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
+    ("pivot", "held_at", 255, "AS5600 at 0x36: register CONF|limit q1_rad tripped"),
+    ("shunt", "fail", (121, 9), "INA228 at 0x40: no acknowledge; check wiring"),
+    ("shunt", "brown_out", (), "INA228 at 0x40: register 0x01 reads 0xFB68 after"),
+    ("shunt", "converting", False, STALE), ("", "_per_a", 0.001, STALE),
 ], ids=["magnet lost", "pivot silent", "pivot reset", "pivot lines low", "pivot lines open", "shunt silent",
         "shunt reset", "shunt stopped", "shunt overflow"])
-def test_every_fault_ends_the_run_with_the_torque_off(tmp_path: Path, fault: Any, line: str) -> None:
-    bench, struck = SensorBench(tmp_path / "r.mcap"), []
+def test_every_fault_ends_the_run_with_the_torque_off(path: Path, part: str, name: str, value: Any, line: str) -> None:
+    """A value that something in the rig takes, or a call that it gets."""
+    bench, struck = SensorBench(path), []
+    owner = getattr(bench.mock, part) if part else bench.mock
 
     def strike() -> None:
         struck.append(bench.clock.now_ns())
-        fault(bench)
+        getattr(owner, name)(*value) if isinstance(value, tuple) else setattr(owner, name, value)
 
     said, raw = bench.fails(on_progress=at(0.25, strike))
     assert any(part in said for part in line.split("|")), said
-    assert zero_after_s(bench, struck[0]) < 0.125
-    assert raw.events[-1].kind.startswith(("limit", "abort"))
-    assert raw.streams["/pivot"].size > 200
+    t_ns, asked, _ = bench.firmware.record
+    assert t_ns[asked != 0.0][-1] - struck[0] < 0.125e9
+    assert raw.events[-1].kind.startswith(("limit", "abort")) and raw.streams["/pivot"].size > 200
 
 
-def test_a_glitch_on_the_bus_is_borne(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap")
+def test_a_glitch_on_the_bus_is_borne(path: Path) -> None:
+    bench = SensorBench(path)
     bench.record(on_progress=at(0.25, lambda: (bench.mock.pivot.fail(121, 3), bench.mock.shunt.fail(5, 3))))
     assert [event.kind for event in read_run(bench.path).events] == ["start", "stop"]
 
 
-def test_the_limit_of_the_pivot_goes_by_its_sensor(tmp_path: Path) -> None:
-    bench = SensorBench(tmp_path / "r.mcap", Turning(1.2, 0.8, joint=1), imu=False)
-    bench.mock.firmware.pivot_hall_ok = False  # without a sensor of its own that would be the end already
+def test_the_limit_of_the_pivot_goes_by_its_sensor(path: Path) -> None:
+    bench = SensorBench(path, Turning(1.2, 0.8, joint=1), imu=False)
+    bench.firmware.pivot_hall_ok = False  # without a sensor of its own that would be the end already
     said, _ = bench.fails(limits="q1_rad = 0.5\n")
     assert "limit q1_rad tripped: pivot angle in rad is 0.5" in said
 
@@ -123,5 +115,6 @@ def test_a_pivot_sensor_that_disagrees_with_the_gyro_fails_its_check() -> None:
 
 def test_tables_of_the_rig_file() -> None:
     rig = parse_rig(RIG.replace("[limits]\n", TABLES))
-    assert (rig.devices.pivot.sign, rig.devices.pivot.address, rig.devices.shunt.kind) == (-1, 0x36, "ina228")
-    assert math.isclose(rig.calibration.pivot_zero_rad, 0.4)
+    pivot = rig.devices.pivot
+    assert (pivot.sign, pivot.address, rig.devices.shunt.kind, rig.calibration.pivot_zero_rad) == (
+        -1, 0x36, "ina228", 0.4)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from daq import Dataset, InputError, Rig, parse_rig
+from daq import Dataset, InputError, Rig, load_rig, parse_rig
 from daq.runs import read_csv, write_csv
 from tests.support.paths import REAL
 from tests.support.runs import load_run
@@ -35,17 +35,22 @@ def put(path: Path, cells: list[list[str]], names: list[str] = NAMES) -> Path:
     return path
 
 
-def refusal(path: Path, rig: Rig | None = LEG) -> str:
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A sound run of the leg."""
+    return put(tmp_path / "r.csv", rows())
+
+
+def refused(path: Path, *words: str, rig: Rig | None = LEG) -> None:
     with pytest.raises(InputError) as caught:
         read_csv(path, rig)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    said = str(caught.value)
+    assert "\n" not in said and all(one in said for one in words), said
 
 
-def test_numbers_come_through_exactly(tmp_path: Path) -> None:
-    table = read_csv(put(tmp_path / "r.csv", rows()), LEG)
-    assert table.name == "r.csv"
-    assert list(table.columns) == NAMES[1:]
+def test_numbers_come_through_exactly(path: Path) -> None:
+    table = read_csv(path, LEG)
+    assert table.name == "r.csv" and list(table.columns) == NAMES[1:]
     assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
     assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
 
@@ -55,8 +60,7 @@ def test_numbers_come_through_exactly(tmp_path: Path) -> None:
     lambda text: text + "\n\n", lambda text: text.replace("q2_rad", '" q2_rad "'), lambda text: text.rstrip("\n"),
     lambda text: text.replace("0.010,", '"0.010", '),
 ], ids=["byte order mark", "CRLF", "CR", "blank lines", "quoted header", "no newline at the end", "quoted cell"])
-def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
-    path = put(tmp_path / "r.csv", rows())
+def test_dialects_that_spreadsheets_write(path: Path, change) -> None:
     want = read_csv(path).columns["q2_rad"]
     path.write_bytes(change(path.read_text()).encode())
     assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
@@ -66,83 +70,74 @@ def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
     (31, "tau2_nm", "off", "'off' is not a number"), (31, "gyro_radps", "nan", "NaN"), (60, "q2_rad", "", "empty"),
     (2, "accel_y_mps2", "-inf", "infinite"), (61, "time_s", "1e999", "infinite"), (5, "q2_rad", "1_0", "not a number"),
 ])
-def test_a_bad_cell_is_named_by_line_and_column(tmp_path: Path, line: int, column: str, cell: str, words: str) -> None:
+def test_a_bad_cell_is_named_by_line_and_column(path: Path, line: int, column: str, cell: str, words: str) -> None:
     cells = rows()
     cells[line - 2][NAMES.index(column)] = cell
-    said = refusal(put(tmp_path / "r.csv", cells))
-    assert f"r.csv, line {line}, column {column}" in said
-    assert words in said
+    refused(put(path, cells), f"r.csv, line {line}, column {column}", words)
 
 
-def test_blank_lines_do_not_shift_the_line_named(tmp_path: Path) -> None:
+def test_blank_lines_do_not_shift_the_line_named(path: Path) -> None:
     cells = rows()
     cells[40][2] = "x"
-    path = put(tmp_path / "r.csv", cells)
-    path.write_text(path.read_text().replace("0.100,", "\n\n0.100,"))
-    assert "line 44, column tau2_nm" in refusal(path)
+    path.write_text(put(path, cells).read_text().replace("0.100,", "\n\n0.100,"))
+    refused(path, "line 44, column tau2_nm")
 
 
 @pytest.mark.parametrize("value, words", [("0.100", "repeats"), ("0.050", "backwards")])
-def test_time_must_increase(tmp_path: Path, value: str, words: str) -> None:
+def test_time_must_increase(path: Path, value: str, words: str) -> None:
     cells = rows()
     cells[11][0] = value
-    said = refusal(put(tmp_path / "r.csv", cells))
-    assert "line 13, column time_s" in said
-    assert words in said
+    refused(put(path, cells), "line 13, column time_s", words)
 
 
-def test_a_quotation_mark_without_a_second_one_is_named_by_its_line(tmp_path: Path) -> None:
+def test_a_quotation_mark_without_a_second_one_is_named_by_its_line(path: Path) -> None:
     """It ended in an internal error: the cell went on to the end of the file."""
-    path = put(tmp_path / "r.csv", rows())
     lines = path.read_text().split("\n")
     head, _, last = lines[30].rpartition(",")
     lines[30] = f'{head},"{last}'
     path.write_text("\n".join(lines))
-    said = refusal(path)
-    assert "r.csv, line 31" in said and "CSV" in said
+    refused(path, "r.csv, line 31", "CSV")
 
 
-def test_a_ragged_line_is_named(tmp_path: Path) -> None:
+def test_a_ragged_line_is_named(path: Path) -> None:
     cells = rows()
-    cells[20] = cells[20][:4]
-    assert "line 22, column accel_x_mps2: the line has 4 cells, the header 6" in refusal(put(tmp_path / "r.csv", cells))
-    cells[20] = [*rows()[20], "9"]
-    assert "line 22, column accel_y_mps2: the line has 7 cells" in refusal(put(tmp_path / "r.csv", cells))
+    for line, words in ((cells[20][:4], "accel_x_mps2: the line has 4 cells, the header 6"),
+                        ([*cells[20], "9"], "accel_y_mps2: the line has 7 cells")):
+        cells[20] = line
+        refused(put(path, cells), f"line 22, column {words}")
 
 
-def test_too_short_and_empty_files(tmp_path: Path) -> None:
-    assert "holds 49 samples, at least 50" in refusal(put(tmp_path / "r.csv", rows(49)))
-    assert read_csv(put(tmp_path / "r.csv", rows(50)), LEG).time_s.size == 50
-    assert "holds 0 samples" in refusal(put(tmp_path / "r.csv", []))
-    (tmp_path / "e.csv").write_text("")
-    assert "e.csv: is empty" in refusal(tmp_path / "e.csv")
-    (tmp_path / "n.csv").write_text("\n1,2\n")
-    assert "no header" in refusal(tmp_path / "n.csv")
+def test_too_short_and_empty_files(path: Path) -> None:
+    refused(put(path, rows(49)), "holds 49 samples, at least 50")
+    assert read_csv(put(path, rows(50)), LEG).time_s.size == 50
+    refused(put(path, []), "holds 0 samples")
+    for text, words in (("", "r.csv: is empty"), ("\n1,2\n", "no header")):
+        path.write_text(text)
+        refused(path, words)
 
 
-def test_headers_that_mislead(tmp_path: Path) -> None:
-    twice = ["time_s", "q2_rad", "q2_rad", *"abc"]
-    assert "names column q2_rad twice" in refusal(put(tmp_path / "r.csv", rows(), twice))
-    assert "unnamed column" in refusal(put(tmp_path / "r.csv", rows(), [*NAMES[:5], ""]))
-    path = put(tmp_path / "r.csv", rows())
-    path.write_text(path.read_text().replace(",", ";"))
-    assert "not comma separated" in refusal(path)
-    assert "rename q2_deg to q2_rad" in refusal(put(path, rows(), ["time_s", "q2_deg", *NAMES[2:]]))
+def test_headers_that_mislead(path: Path) -> None:
+    semicolons = path.read_text().replace(",", ";")
+    for names, words in ((["time_s", "q2_rad", "q2_rad", *"abc"], "names column q2_rad twice"),
+                         ([*NAMES[:5], ""], "unnamed column"),
+                         (["time_s", "q2_deg", *NAMES[2:]], "rename q2_deg to q2_rad")):
+        refused(put(path, rows(), names), words)
+    path.write_text(semicolons)
+    refused(path, "not comma separated")
 
 
-def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
-    assert "No such file" in refusal(tmp_path / "none.csv")
-    assert "directory" in refusal(tmp_path)
-    (tmp_path / "z.csv.gz").write_bytes(b"time_s,q2_rad\n")
-    assert "gzip" in refusal(tmp_path / "z.csv.gz")
-    whole = gzip.compress(put(tmp_path / "r.csv", rows()).read_bytes())
-    for cut in (5, len(whole) // 2, len(whole) - 3):
-        (tmp_path / "z.csv.gz").write_bytes(whole[:cut])
-        assert "z.csv.gz: cannot be unpacked as gzip" in refusal(tmp_path / "z.csv.gz")
-    (tmp_path / "z.csv.gz").write_bytes(whole)
-    assert read_csv(tmp_path / "z.csv.gz", LEG).time_s.size == 60
-    (tmp_path / "b.csv").write_bytes(b"time_s,q2_rad\n\xff\xfe,1\n")
-    assert "b.csv, line 2: is not UTF-8" in refusal(tmp_path / "b.csv")
+def test_files_that_cannot_be_opened(path: Path) -> None:
+    folder, packed = path.parent, path.parent / "z.csv.gz"
+    refused(folder / "none.csv", "No such file")
+    refused(folder, "directory")
+    whole = gzip.compress(path.read_bytes())
+    for data in (b"time_s,q2_rad\n", whole[:5], whole[: len(whole) // 2], whole[:-3]):
+        packed.write_bytes(data)
+        refused(packed, "z.csv.gz: cannot be unpacked as gzip")
+    packed.write_bytes(whole)
+    assert read_csv(packed, LEG).time_s.size == 60
+    path.write_bytes(b"time_s,q2_rad\n\xff\xfe,1\n")
+    refused(path, "r.csv, line 2: is not UTF-8")
 
 
 @pytest.mark.parametrize("rig_, names, column", [
@@ -155,47 +150,45 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
     (VOLTS, "time_s q1_rad volts", "duty"), (BIPED, "time_s q1_rad q2_rad tau2_nm tau3_nm", "q3_rad"),
     (BIPED, "time_s q1_rad q2_rad q3_rad tau2_nm", "tau3_nm"),
     (rig("chain", "[4]", "links = 4\n"), "time_s q1_rad q2_rad q3_rad q4_rad", "tau4_nm")])
-def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: str, column: str) -> None:
-    path = put(tmp_path / "r.csv", rows(60, names.split()), names.split())
-    assert f"line 1: column {column} is missing" in refusal(path, rig_)
+def test_a_missing_column_is_named(path: Path, rig_: Rig, names: str, column: str) -> None:
+    put(path, rows(60, names.split()), names.split())
+    refused(path, f"line 1: column {column} is missing", rig=rig_)
 
 
 @pytest.mark.parametrize("rig_, names", [
     (LEG, "time_s q2_rad tau2_nm q1_rad"), (JOINT, "time_s q1_m tau1_n"), (rig("joint1", "[]"), "time_s q1_rad"),
     (rig("leg2", "[]"), "time_s q2_rad q1_rad"), (VOLTS, "time_s q1_rad duty volts"),
     (rig("biped3", "[3]"), "time_s q1_rad q2_rad q3_rad tau3_nm")])
-def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: str) -> None:
-    found = read_csv(put(tmp_path / "r.csv", rows(60, names.split()), names.split()), rig_)
+def test_complete_runs_of_each_mechanism(path: Path, rig_: Rig, names: str) -> None:
+    found = read_csv(put(path, rows(60, names.split()), names.split()), rig_)
     assert {"time_s", *found.columns} == set(names.split())
 
 
-def test_a_servo_by_voltage_is_told_so(tmp_path: Path) -> None:
+def test_a_servo_by_voltage_is_told_so(path: Path) -> None:
     names = ["time_s", "q1_rad", "duty", "volts"]
-    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), JOINT)
-    assert 'input = "voltage"' in said
+    refused(put(path, rows(60, names), names), 'input = "voltage"', rig=JOINT)
 
 
-def test_extra_columns_are_kept_and_text_in_them_harms_nobody(tmp_path: Path) -> None:
+def test_extra_columns_are_kept_and_text_in_them_harms_nobody(path: Path) -> None:
     names = [*NAMES, "battery_v", "note"]
     cells = [[*line[:-1], "up" if i % 2 else ""] for i, line in enumerate(rows(60, names))]
-    table = read_csv(put(tmp_path / "r.csv", cells, names), LEG)
+    table = read_csv(put(path, cells, names), LEG)
     assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
-    assert "note" not in table.columns
-    assert table.ignored == ("note",)
+    assert "note" not in table.columns and table.ignored == ("note",)
     cells[3][6] = "nan"
-    assert read_csv(put(tmp_path / "r.csv", cells, names), LEG).ignored == ("battery_v", "note")
+    assert read_csv(put(path, cells, names), LEG).ignored == ("battery_v", "note")
     names[-1] = "temperature_degc"  # a column with a meaning is checked though nobody requires it
     cells[3][6] = "7.2"
-    assert "line 2, column temperature_degc" in refusal(put(tmp_path / "r.csv", cells, names))
+    refused(put(path, cells, names), "line 2, column temperature_degc")
 
 
-def test_sixty_thousand_rows_are_read_at_once(tmp_path: Path) -> None:
+def test_sixty_thousand_rows_are_read_at_once(path: Path) -> None:
     rng = np.random.default_rng(0)
     table = np.column_stack([np.arange(60_000) * 1e-3, rng.normal(size=(60_000, 7))])
-    np.savetxt(tmp_path / "r.csv", table, delimiter=",", fmt="%.9g", comments="",
+    np.savetxt(path, table, delimiter=",", fmt="%.9g", comments="",
                header=",".join([*NAMES, "tau2_cmd_nm", "temperature_degc"]))
     start = time.process_time()
-    got = read_csv(tmp_path / "r.csv", LEG)
+    got = read_csv(path, LEG)
     assert time.process_time() - start < 2.0  # processor time, some 0.1 s on an idle core
     assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
 
@@ -203,20 +196,17 @@ def test_sixty_thousand_rows_are_read_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
 def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(1)
-    columns = {column: rng.normal(size=400) for column in [*NAMES[1:], "q1_rad"]}
+    columns = {column: rng.normal(size=400) for column in NAMES[1:]} | {"q1_rad": np.full(400, np.nan)}
     for column in NAMES[3:]:
         columns[column][100:130] = np.nan
-    columns["q1_rad"][:] = np.nan
     run = Dataset("run", 100.0, 12.34 + np.arange(400) / 100.0, columns)
     assert write_csv(run, tmp_path / name) == 370
     again = load_run(tmp_path / name, LEG)
-    assert "q1_rad" not in again
-    assert again.rate_hz == 100.0
+    assert "q1_rad" not in again and again.rate_hz == 100.0
     assert_allclose(again.time_s, run.time_s, atol=2e-9)
     assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
     for column in NAMES[1:]:
-        kept = ~again.gap()
-        assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
+        assert_allclose(again[column][~again.gap()], run[column][~again.gap()], rtol=1e-11)
     with pytest.raises(InputError, match="No such file"):
         write_csv(run, tmp_path / "nowhere" / name)
 
@@ -227,10 +217,8 @@ def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> 
     ("multiarm", "free_swing.csv.gz", "rig.toml", 53340), ("emps", "estimation.csv.gz", "rig.toml", 24841),
 ])
 def test_measured_runs_are_read(folder: str, file: str, rig_file: str, samples: int) -> None:
-    from daq.rig import load_rig
     run = load_run(REAL / folder / file, load_rig(REAL / folder / rig_file))
-    assert len(run) == samples
-    assert run.gap().mean() < 0.005
+    assert len(run) == samples and run.gap().mean() < 0.005
 
 
 def test_a_small_file_that_unpacks_to_a_gigabyte_is_refused(tmp_path: Path) -> None:
@@ -244,7 +232,7 @@ def test_a_small_file_that_unpacks_to_a_gigabyte_is_refused(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("text", ["time_s," + "x" * 140_000 + "\n1,2\n", "time_s,q\n1," + "2" * 140_000 + "\n2,x\n"])
-def test_a_cell_beyond_all_measure_is_named(text: str, tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(text)
+def test_a_cell_beyond_all_measure_is_named(text: str, path: Path) -> None:
+    path.write_text(text)
     with pytest.raises(InputError, match=r"line [12]"):
-        read_csv(tmp_path / "a.csv")
+        read_csv(path)

@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 from daq import InputError
 from daq.runs import RunWriter, read_run, recover
 from daq.runs.mcap_run import FLUSH_MESSAGES
+from tests.support.runs import records
 
 CHUNKS, EACH = 4, FLUSH_MESSAGES
 
@@ -26,61 +27,33 @@ def whole(module_path: Path) -> bytes:
     return path.read_bytes()
 
 
-def records(data: bytes) -> list[tuple[int, int, int]]:
-    """(opcode, start, end) of every record in the file."""
-    found, at = [], 8
-    while at < len(data) - 8:
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        found.append((opcode, at, at + 9 + length))
-        at += 9 + length
-    return found
-
-
 def chunk(data: bytes, number: int) -> tuple[int, int]:
+    """Where one of the file's chunks starts and stops."""
     return [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK][number]
 
 
-def without_second(data: bytes) -> bytes:
-    a, b = chunk(data, 1)
-    return data[:a] + data[b:]
-
-
-def second_twice(data: bytes) -> bytes:
-    a, b = chunk(data, 1)
-    return data[:b] + data[a:]
-
-
-def second_broken(data: bytes) -> bytes:
-    _, b = chunk(data, 1)
-    return data[: b - 40] + bytes([data[b - 40] ^ 1]) + data[b - 39:]
-
-
-def cut_within_third(data: bytes) -> bytes:
-    a, b = chunk(data, 2)
-    return data[: (a + b) // 2]
-
-
-def rig_broken(data: bytes) -> bytes:
-    return data.replace(b"lever_arm_m = 0.2", b"lever_arm_m = 0.3")
-
-
 CASES = {
-    "removed": (without_second, 3 * EACH, f"{EACH} of {4 * EACH} messages are missing", True),
-    "doubled": (second_twice, 5 * EACH, f"{EACH} IMU samples are there twice", True),
-    "broken": (second_broken, 3 * EACH, "1 damaged chunks left out", True),
-    "cut": (cut_within_third, 2 * EACH, "its end is missing", False),
-    "attachment": (rig_broken, 4 * EACH, "check sum of rig.toml inside it is wrong", True),
-    "cut and removed": (lambda d: without_second(cut_within_third(d)), EACH, "its end is missing", False),
+    "removed": (1, lambda d, a, b: d[:a] + d[b:], 3 * EACH, f"{EACH} of {4 * EACH} messages are missing", True),
+    "doubled": (1, lambda d, a, b: d[:b] + d[a:], 5 * EACH, f"{EACH} IMU samples are there twice", True),
+    "broken": (1, lambda d, a, b: d[: b - 40] + bytes([d[b - 40] ^ 1]) + d[b - 39:], 3 * EACH,
+               "1 damaged chunks left out", True),
+    "cut": (2, lambda d, a, b: d[: (a + b) // 2], 2 * EACH, "its end is missing", False),
+    "attachment": (0, lambda d, a, b: d.replace(b"lever_arm_m = 0.2", b"lever_arm_m = 0.3"), 4 * EACH,
+                   "check sum of rig.toml inside it is wrong", True),
+    "cut and removed": (1, lambda d, a, b: d[:a] + d[b: b + (b - a) // 2], EACH, "its end is missing", False),
 }
+"""A chunk that starts at a and stops at b, and the file d without it, or else damaged; what is left, what is said of
+it, and whether that is said of the recovered file too."""
 
 
-@pytest.mark.parametrize("broken, left, says, stays", CASES.values(), ids=CASES)
-def test_what_is_missing_is_said_and_a_hole_stays_one(broken: Callable[[bytes], bytes], left: int, says: str,
-                                                      stays: bool, whole: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number, broken, left, says, stays", CASES.values(), ids=CASES)
+def test_what_is_missing_is_said_and_a_hole_stays_one(
+        number: int, broken: Callable[[bytes, int, int], bytes], left: int, says: str, stays: bool, whole: bytes,
+        tmp_path: Path) -> None:
     path, repaired = tmp_path / "r.mcap", tmp_path / "repaired.mcap"
     path.write_bytes(whole)
     assert read_run(path).damage == ()
-    path.write_bytes(broken(whole))
+    path.write_bytes(broken(whole, *chunk(whole, number)))
     raw = read_run(path)
     assert raw.streams["/imu"].size == left
     assert any(says in damage.text for damage in raw.damage), raw.damage
@@ -94,10 +67,9 @@ def test_a_hole_before_a_lost_end_is_seen_by_the_samples_own_count(whole: bytes,
     path = tmp_path / "r.mcap"
     a, b = chunk(whole, 1)
     path.write_bytes(whole[:a] + whole[b: chunk(whole, 3)[0]])
-    assert any(f"{EACH} IMU samples are missing" in text for text in map(str, read_run(path).damage))
     recover(path, tmp_path / "repaired.mcap")
-    assert any(f"{EACH} IMU samples are missing" in text
-               for text in map(str, read_run(tmp_path / "repaired.mcap").damage))
+    for run in (path, tmp_path / "repaired.mcap"):
+        assert any(f"{EACH} IMU samples are missing" in str(damage) for damage in read_run(run).damage)
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])

@@ -1,7 +1,6 @@
 """The controller's clock steps, wraps, stands still or changes its rate: said while recording, by info and by runs."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +65,7 @@ def test_a_wrapped_counter_is_corrected(tmp_path: Path) -> None:
 def test_samples_that_contradict_the_probes_are_counted(tmp_path: Path) -> None:
     raw = read_run(strike("forward 5 ms", "telemetry", "driving", tmp_path)[0])
     _, (flag,) = said(raw)
-    rows = raw.streams["/leg/telemetry"].size
-    used = angles(raw)[0].size
+    rows, used = raw.streams["/leg/telemetry"].size, angles(raw)[0].size
     assert f"{rows - used} of {rows} samples are set aside" in flag and 0.3 * rows < used < 0.7 * rows
 
 
@@ -81,12 +79,9 @@ def test_a_fit_says_how_many_samples_it_used(tmp_path: Path) -> None:
     """Set aside for the clock, or lost in a gap: no fit is silent about them."""
     path, *_ = strike("forward 5 ms", "telemetry", "driving", tmp_path)
     rig = recorded_rig(read_run(path))
-    fitted = fit_runs([align(read_run(path), rig)], rig)
-    said = " ".join(one.text for one in fitted.result.findings)
-    assert re.search(r"\d+ of \d+ samples are set aside", said)
-    healthy = align(read_run(FIXTURES / "healthy.mcap"), rig)
-    angle = healthy["q2_rad"].copy()
-    angle[200:300] = np.nan
-    gap = replace(healthy, columns={**healthy.columns, "q2_rad": angle})
+    fitted = fit_runs([align(read_run(path), rig)], rig).result
+    assert re.search(r"\d+ of \d+ samples are set aside", " ".join(one.text for one in fitted.findings))
+    gap = align(read_run(FIXTURES / "healthy.mcap"), rig)
+    gap["q2_rad"][200:300] = np.nan
     found = fit_runs([gap], load_rig(FIXTURES / "rig.toml")).result
     assert f"uses {found.samples} of {len(gap)} samples" in " ".join(one.text for one in found.findings)

@@ -6,31 +6,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq import InputError, WorkError, parse_rig
-from daq.recording import record_run
 from daq.runs import read_run
-from daq.runs.streams import IMU_STREAM
 from daq.timing import configured, decode
 from daq.timing.align import align
 from daq.timing.flags import _repeated, _unmarked, flag_run
-from drivers import LegController, Lsm9ds1
-from drivers.mock import EmulatorLink, ImuSettings, MockRig, VirtualClock
+from drivers.mock import ImuSettings
+from tests.support.drained import drained
 from tests.support.recordings import RIG, sine
-from tests.support.still_plant import StillPlant
+from tests.support.virtual_rig import VirtualRig
 
 
 def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float = 0.0, burst: int = 0) -> str:
     """A run whose chip is fast by `rate`, and of whose samples somebody else takes a share once it is driven, or one
     burst."""
-    clock = VirtualClock()
-    mock = MockRig(StillPlant(), clock, ImuSettings(rate_error=rate, gravity_mps2=gravity), seed=2)
-    controller = LegController(EmulatorLink(mock.firmware, clock), clock.now_ns)
-    controller.open()
-    imu = Lsm9ds1(mock.imu, now_ns=clock.now_ns, sleep=clock.sleep)
-    imu.open()
-    push, rng, left = mock.imu.push, np.random.default_rng(0), [burst]
+    rig = VirtualRig(imu=ImuSettings(rate_error=rate, gravity_mps2=gravity), seed=2).open()
+    push, rng, left = rig.mock.imu.push, np.random.default_rng(0), [burst]
 
     def taken() -> bool:
         left[0] -= 1
@@ -38,15 +30,14 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
 
     def steal(now_s: float, total_s: float) -> None:
         if now_s > 1.2:
-            mock.imu.push = lambda raw: None if taken() else push(raw)
+            rig.mock.imu.push = lambda raw: None if taken() else push(raw)
 
-    record_run(path, parse_rig(RIG), RIG, sine(2.5), imu, controller, clock.now_ns, threaded=False, progress=steal)
+    rig.save(path, RIG, sine(2.5), progress=steal)
     return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).flags))
 
 
-def test_a_run_with_a_second_reader_is_flagged(tmp_path: Path) -> None:
-    found = record(tmp_path / "shared.mcap", share=0.1)
-    assert "another program may have read it" in found
+def test_a_run_with_a_second_reader_is_flagged(path: Path) -> None:
+    assert "another program may have read it" in record(path, share=0.1)
 
 
 def test_a_run_without_one_burst_is_flagged(tmp_path: Path) -> None:
@@ -61,28 +52,14 @@ def test_drains_contradict_each_other_only_where_samples_are_missing(rate: float
     nominal = min((119.0, 238.0, 952.0), key=lambda hz: abs(hz - rate))
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        samples = drains(rng, 4.0, rate, every_s)
+        m = int(6.0 * rate)
+        samples = drained(rng, np.sort((np.arange(m) + 0.02 * rng.standard_normal(m)) / rate), every_s, 4.0)
         assert not _unmarked(samples, nominal)
         begins = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1
         at = begins[int(rng.uniform(0.1, 0.9) * begins.size)]
         less = np.concatenate((samples[:at], samples[at + 3:]))
         less["index"][at:] -= 3
         assert "another program may have read it" in _unmarked(less, nominal)[0].text
-
-
-def drains(rng: np.random.Generator, seconds: float, rate_hz: float, every_s: float) -> NDArray[np.void]:
-    """Samples of a chip whose period jitters by 2 %, drained one look after the other."""
-    n, m = int(seconds / every_s), int(1.5 * seconds * rate_hz)
-    taken = np.sort((np.arange(m) + 0.02 * rng.standard_normal(m)) / rate_hz)
-    took = np.where(rng.random(n) < 0.01, 3e-3, 90e-6)
-    pause = rng.uniform(0.8, 1.2, n) * every_s + np.where(rng.random(n) < 0.01, rng.uniform(0, 0.03, n), 0.0)
-    look = np.cumsum(pause) + np.append(0.0, np.cumsum(took)[:-1])
-    newest = np.searchsorted(taken, look + rng.uniform(0, 1, n) * took, side="right") - 1
-    drain = np.searchsorted(newest, np.arange(newest[-1] + 1))
-    out = np.zeros(drain.size, IMU_STREAM.dtype)
-    out["index"] = np.arange(drain.size)
-    out["drain_before_ns"], out["drain_after_ns"] = (np.rint(t[drain] * 1e9) for t in (look, look + took))
-    return out
 
 
 def test_repeated_samples_are_flagged_a_quiet_chip_is_not() -> None:
@@ -98,9 +75,9 @@ def test_repeated_samples_are_flagged_a_quiet_chip_is_not() -> None:
 
 
 @pytest.mark.parametrize("rate", ['"fast"', "1e308", "5e-324", "-238", "[238]"])
-def test_a_rate_that_no_chip_has_is_refused(rate: str, tmp_path: Path) -> None:
-    record(tmp_path / "r.mcap")
-    raw = read_run(tmp_path / "r.mcap")
+def test_a_rate_that_no_chip_has_is_refused(rate: str, path: Path) -> None:
+    record(path)
+    raw = read_run(path)
     notes = [note._replace(text=re.sub(r'"rate_hz":[^,}]*', f'"rate_hz":{rate}', note.text)) for note in raw.config]
     with pytest.raises(InputError, match=r"r\.mcap"):
         decode(dataclasses.replace(raw, config=notes), parse_rig(RIG))
@@ -113,9 +90,9 @@ def test_a_chip_at_another_rate_or_without_gravity_is_refused_before_the_motor_i
         record(tmp_path / "moon.mcap", gravity=1.62)
 
 
-def test_a_good_run_is_not_flagged_impossible_gravity_is(tmp_path: Path) -> None:
-    assert not record(tmp_path / "r.mcap")
-    raw = read_run(tmp_path / "r.mcap")
+def test_a_good_run_is_not_flagged_impossible_gravity_is(path: Path) -> None:
+    assert not record(path)
+    raw = read_run(path)
     facts = configured(raw, "imu")
     assert flag_run(raw, parse_rig(RIG), facts) == []
     facts["accel_mps2_per_lsb"] *= 0.5

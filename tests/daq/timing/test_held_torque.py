@@ -71,15 +71,15 @@ def test_a_gap_of_the_samples_stays_a_gap() -> None:
     made = samples(500.0, 0.005)
     kept = (made.time_s < 4.0) | (made.time_s > 4.1)
     split = split_torque(TimedColumns(made.time_s[kept], {"tau2_nm": made.columns["tau2_nm"][kept]}), SENT_S, SENT_NM)
-    centres = split.commanded.time_s
-    assert np.isnan(split.commanded.columns["tau2_nm"][(centres > 4.001) & (centres < 4.099)]).all()
-    assert np.isfinite(split.commanded.columns["tau2_nm"][(centres < 3.99) | (centres > 4.11)]).all()
+    centres, torque = split.commanded.time_s, split.commanded.columns["tau2_nm"]
+    assert np.isnan(torque[(centres > 4.001) & (centres < 4.099)]).all()
+    assert np.isfinite(torque[(centres < 3.99) | (centres > 4.11)]).all()
 
 
 def test_commands_that_the_drive_did_not_follow_explain_nothing() -> None:
     made = samples(500.0, 0.02)
-    noise = np.random.default_rng(3).standard_normal(made.time_s.size)
-    assert split_torque(TimedColumns(made.time_s, {"tau2_nm": 0.02 * noise}), SENT_S, SENT_NM) is None
-    assert split_torque(made, SENT_S, np.zeros_like(SENT_NM)) is None
-    assert split_torque(TimedColumns(made.time_s[:20], {"tau2_nm": noise[:20]}), SENT_S, SENT_NM) is None
-    assert split_torque(made, SENT_S[:0], SENT_NM[:0]) is None
+    noise = 0.02 * np.random.default_rng(3).standard_normal(made.time_s.size)
+    alone, few = (TimedColumns(made.time_s[:n], {"tau2_nm": noise[:n]}) for n in (noise.size, 20))
+    for given in ((alone, SENT_S, SENT_NM), (made, SENT_S, np.zeros_like(SENT_NM)), (few, SENT_S, SENT_NM),
+                  (made, SENT_S[:0], SENT_NM[:0])):
+        assert split_torque(*given) is None

@@ -33,16 +33,13 @@ def swing(late_s: float, seed: int = 0, seconds: float = 20.0, size: float = 1.0
 def test_a_delay_is_found_with_its_sign(late_s: float) -> None:
     for seed in range(4):
         skew = measure_skew(swing(late_s, seed))
-        assert skew.seconds == pytest.approx(late_s, abs=5e-4)
-        assert skew.std_s < 3e-4
-        assert abs(skew.seconds - late_s) < 5 * skew.std_s
+        assert skew.std_s < 3e-4 and skew.seconds == pytest.approx(late_s, abs=min(5e-4, 5 * skew.std_s))
 
 
 def test_holes_are_left_out() -> None:
     run = swing(0.005)
     run.columns["gyro_radps"][500:520] = np.nan
-    skew = measure_skew(run)
-    assert skew.seconds == pytest.approx(0.005, abs=5e-4)
+    assert measure_skew(run).seconds == pytest.approx(0.005, abs=5e-4)
 
 
 def test_without_motion_or_without_a_pivot_angle_nothing_is_said() -> None:
@@ -74,14 +71,14 @@ def test_info_warns_of_a_loose_clock_and_names_the_latency_timer(tmp_path: Path)
     assert "warning" not in describe_mcap(read_run(tmp_path / "good.mcap"))
     write_run(tmp_path / "loose.mcap", 6e-3, 16)
     words = describe_mcap(read_run(tmp_path / "loose.mcap"))
-    assert "warning: the controller's clock is known to 3." in words
-    assert "latency timer was 16 ms; echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in words
-    assert "within 3" in words  # the bound itself stands in the clock's own line
+    for said in ("warning: the controller's clock is known to 3.",
+                 "latency timer was 16 ms; echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+                 "within 3"):  # the bound itself stands in the clock's own line
+        assert said in words
 
 
 def test_an_emulated_run_shows_the_age_of_its_gyro(demo_run: Path) -> None:
     skew = measure_skew(load_run(demo_run, load_rig(DEMO_RIG), 200.0))
     assert skew.seconds == pytest.approx(1.0 / (2.0 * np.pi * 100.0), abs=5 * skew.std_s + 0.5e-3)  # low pass at 476 Hz
-    print(skew)
     words = describe_mcap(read_run(demo_run))
     assert "IMU against encoders, by correlation" in words and "its low pass alone: +1.92 +- 0.45 ms" in words
