@@ -53,11 +53,8 @@ def needed_terms(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     found: dict[str, float] = {}
     left = _held_out(blocks, free, start)
     while len(found) < len(optional):
-        tried = {}
-        for name in optional.keys() - found.keys():
-            mask = free.copy()
-            mask[optional[name]] = True
-            tried[name] = _held_out(blocks, mask, start)
+        tried = {name: _held_out(blocks, free | (np.arange(free.size) == k), start)
+                 for name, k in optional.items() if name not in found}
         name = min(tried, key=lambda n: float(np.min(tried[n] / left)))
         fall = 1.0 - float(np.min(tried[name] / left))
         free[optional[name]] = True
@@ -71,8 +68,8 @@ def needed_terms(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
 def _size(blocks: Sequence[tuple[FloatArray, FloatArray]], free: np.ndarray, start: FloatArray, samples_per_dof: float
           ) -> FloatArray:
     """(p,) least squares of all blocks, each value in its standard deviations."""
-    beta, covariance, _ = weighted_least_squares(np.concatenate([b[0] for b in blocks]),
-                                                 np.concatenate([b[1] for b in blocks]), free, start, samples_per_dof)
+    z, torque = map(np.concatenate, zip(*blocks))
+    beta, covariance, _ = weighted_least_squares(z, torque, free, start, samples_per_dof)
     size: FloatArray = np.abs(beta) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return size
 
@@ -87,9 +84,8 @@ def _held_out(blocks: Sequence[tuple[FloatArray, FloatArray]], free: np.ndarray,
     """(n,) rms torque residual of each block under least squares on the other blocks."""
     squares, count = np.zeros(blocks[0][1].shape[1]), 0
     for k, (z, torque) in enumerate(blocks):
-        others = [block for i, block in enumerate(blocks) if i != k]
-        beta, _, _ = weighted_least_squares(np.concatenate([b[0] for b in others]),
-                                            np.concatenate([b[1] for b in others]), free, start, 1.0)
+        rows, torques = map(np.concatenate, zip(*(block for i, block in enumerate(blocks) if i != k)))
+        beta = weighted_least_squares(rows, torques, free, start, 1.0)[0]
         squares += np.sum((torque - z @ beta) ** 2, axis=0)
         count += len(torque)
     return np.maximum(np.sqrt(squares / count), 1e-300)
