@@ -223,7 +223,7 @@ def test_record_without_devices_says_what_is_missing(here: Path, shell: Shell) -
     plan_file(here, np.zeros(100))
     absent = here / "rig.toml"
     absent.write_text(RIG.read_text().replace("/dev/ttyACM0", "/dev/no-such-port"))
-    args = ("--plan p.csv --out r.mcap",)
+    args = ("--plan plan.csv --out r.mcap",)
     assert "/dev/no-such-port" in shell.fails("record --rig rig.toml", *args, status=1)
     absent.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
     assert "devices.controller" in shell.fails("record --rig rig.toml", *args)
