@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from daq import InputError, WorkError
 from daq.runs import Note, RunWriter, read_run
 from daq.runs.mcap_run import FLUSH_MESSAGES
-from daq.runs.streams import COMMAND, STREAMS, TELEMETRY, pack_note, unpack_note
+from daq.runs.streams import CLOCK, COMMAND, IMU_STREAM, STREAMS, TELEMETRY, pack_note, unpack_note
 from tests.support.paths import ROOT
 
 FILES = {"rig.toml": "[mechanism]\n", "plan.csv": "time_s,tau2_cmd_nm\n"}
@@ -150,3 +150,8 @@ def test_a_killed_writer_leaves_all_but_the_last_few(path: Path) -> None:
     assert not raw.complete and raw.files == {"rig.toml": "x"}
     assert kept.size >= written - FLUSH_MESSAGES  # the texts before them count as one each
     assert (kept["host_ns"] == np.arange(kept.size)).all()
+
+
+def test_probe_and_sample_schemas_carry_raw_ticks() -> None:
+    assert {"rx_tick_us", "tx_tick_us", "boot_id"} <= {f.name for f in CLOCK.fields}
+    assert {"index", "gap_before", "gyro_x", "accel_z"} <= {f.name for f in IMU_STREAM.fields}
