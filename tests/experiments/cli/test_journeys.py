@@ -94,7 +94,7 @@ def test_a_ros_bag(typed: Type, tmp_path: Path, answers: Answers) -> None:
 
 
 @REAL_CLOCK
-def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, answers: Answers) -> None:
+def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, answers: Answers, monkeypatch: pytest.MonkeyPatch) -> None:
     with ServedRig(tmp_path / "served", drive="moteus") as served:
         devices = load_rig(served.rig_path).devices
         assert devices.imu is not None and devices.controller.port is not None
@@ -114,6 +114,7 @@ def test_a_leg_with_a_moteus(typed: Type, tmp_path: Path, answers: Answers) -> N
         (tmp_path / "rig.toml").write_text(rig)
         said = typed("legid excite --rig rig.toml --out plan.csv --seconds 6 --peak 0.7")
         after = told(said, "Next: ").replace("RUN.mcap", "run.mcap")
+        monkeypatch.setattr("sys.stdin.isatty", lambda: False)  # as in a script
         said = typed(after, 2)
         assert "give --estop-at-hand" in said
         typed(f"{after} --estop-at-hand")
