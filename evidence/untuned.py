@@ -183,7 +183,7 @@ def judged(case: Case) -> tuple[tuple[str, ...], bool]:
     where, what, rig, runs, words = case
     status, said = fitted(runs, rig)
     named = words.replace(".csv.gz", ".csv") in said
-    silent = status == 0 and "warning:" not in said
+    silent = status == 0 and "warning:" not in said.lower()
     verdict = "SILENT" if silent else "named" if named else "not named"
     return (where, what, "refused" if status else "warned", verdict), named and not silent
 
