@@ -13,8 +13,8 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test fast kernel ruff types style test-slow slow slow-kernel test-study lint test-kernel soak live-soak \
-	fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned table5 replication imu-links walker bench \
+.PHONY: install demo drives test fast kernel ruff types style test-slow slow slow-kernel test-study lint test-kernel \
+	soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned table5 replication imu-links walker bench \
 	evidence port port-faults fuzz tutorial screenshots changed servos servo-laws payloads looks lab-chain timing tuning engines \
 	trust wheel arm64 \
 	lock sbom docs clean

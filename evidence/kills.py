@@ -60,7 +60,7 @@ class Killed(NamedTuple):
 
 
 def command_of(rig: Path, out: Path) -> list[str]:
-    """A recording by the plan beside the rig file."""
+    """A recording by the plan next to the rig file."""
     return ["record", "--rig", str(rig), "--plan", str(rig.with_name("plan.csv")), "--out", str(out)]
 
 

@@ -131,7 +131,7 @@ class Supervisor:
     def check(self, sample: Sample) -> Trip | None:
         """None while everything is within its limit, else the first limit passed."""
         if self.trip is None:
-            for name, limit, what in WATCHED:  # often, so no `Trip` is made of what is within its limit
+            for name, limit, what in WATCHED:  # at each turn: no `Trip` is made of what is within its limit
                 value, bound = getattr(sample, name), getattr(self.limits, limit)
                 # A temperature below zero is no danger; every other quantity counts by its size.
                 # So written that NaN trips.

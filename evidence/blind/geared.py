@@ -68,7 +68,7 @@ OF_ORDINARY_STRENGTH = {
     "outside_swinging_mass": ("slosh", 0.05),
     "outside_torque_squared": ("copper", 0.06),
     "outside_gyro_curvature": ("gyro_cubic", 0.004)}
-"""Hidden effect -> the law, or the fault in what is logged, that is beside the small ones, and its strength."""
+"""Hidden effect -> the law, or the fault in what is logged, that is added to the small ones, and its strength."""
 Hidden = Mapping[str, float]
 """Strength of each law and fault of one effect."""
 

@@ -93,7 +93,7 @@ NAMES = tuple(f"{record}.{fault}" for record, r in RECORDS.items() for fault in 
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth beside it."""
+    """r1.csv, ... and rig.toml in OUT/NAME-SEED, its truth next to that folder."""
     key, fault = name.split(".")
     record = RECORDS[key]
     size = record.sizes.get(fault, 0.0) * of_case(name, seed, 5).uniform(0.7, 1.3)

@@ -217,7 +217,7 @@ def record(leg: Leg, plant: Plant, dry: float, rng: Generator, run: int, session
 
 
 def make_case(name: str, seed: int, out: Path, makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it."""
+    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth next to that folder."""
     rng = of_case(name, seed)
     strength = rng.uniform(0.85, 1.15)
     write_plant(name, seed, out, makers[name](strength), truth_of(name, strength), *draw(rng), rng)

@@ -3,6 +3,7 @@
 import os
 import select
 import threading
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from smbus2 import i2c_msg
 READ = 1
 
 
-class ServedBus:
+class ServedBus(ABC):
     """Serves `bus` (an object with smbus2's `i2c_rdwr`) as `path` until `close`: the adapter pulled out."""
 
     path: str
@@ -58,5 +59,6 @@ class ServedBus:
         finally:
             os.close(self._fd)
 
+    @abstractmethod
     def _answer(self, request: bytes) -> None:
-        raise NotImplementedError
+        """Answer one request of the kernel's."""

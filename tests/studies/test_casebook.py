@@ -23,7 +23,7 @@ from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
 from tests.support.shell import Shell, typed
 
-_with_records = mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+_with_records = mark.skipif(not DATA.is_dir(), reason="the shared real records are not next to the checkout")
 
 
 def needs_records(test: Callable[..., None]) -> Callable[..., None]:

@@ -242,7 +242,7 @@ def records() -> tuple[Dataset, ...]:
     record = RECORDS["a0"]
     files = [REAL / record.folder / f"{r}.csv.gz" for r in record.runs]
     if not files[0].exists():
-        skip("needs the real records beside the checkout")
+        skip("needs the real records next to the checkout")
     return prepare(files, load_rig(RIGS / record.rig)).setup.datasets
 
 

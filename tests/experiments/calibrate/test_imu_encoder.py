@@ -177,7 +177,7 @@ def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
     assert found.after[1, 0] < 0.5 * found.before[1, 0]
 
 
-@pytest.mark.skipif(not RECORD.is_file(), reason="the shared real records are not beside the checkout")
+@pytest.mark.skipif(not RECORD.is_file(), reason="the shared real records are not next to the checkout")
 def test_a_public_record_of_an_imu_on_a_shaft(shell: Shell) -> None:
     """Against the figures in the data's README, found there by other means (low pass of 3 Hz, plain regression)."""
     rig = load_rig(RIGS / "song_imu.toml")

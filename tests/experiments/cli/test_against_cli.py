@@ -25,7 +25,7 @@ RIG = ROOT / "studies/rigs/dfki_diagnose.toml"
 ARM = REAL / "dfki_a0"
 
 
-@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
+@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records next to the checkout")
 def test_an_unchanged_arm_against_a_folder(tmp_path: Path, shell: Shell) -> None:
     for run in ("00", "02", "12"):
         shutil.copy(ARM / f"{run}.csv.gz", tmp_path)
@@ -79,7 +79,7 @@ def late(source: Path, target: Path, seconds: float) -> None:
     target.write_bytes(gzip.compress("\n".join(lines).encode()))
 
 
-@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
+@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records next to the checkout")
 def test_sessions_as_folders_and_as_runs(here: Path, shell: Shell) -> None:
     before, after = here / "before", here / "after"
     before.mkdir()

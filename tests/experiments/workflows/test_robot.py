@@ -18,7 +18,7 @@ TRUE = Leg(viscous=(0.02, 0.03), coulomb=(0.0, 0.0))
 
 
 def robot(folder: Path, leg: Leg) -> Path:
-    """The leg as an MJCF file, and its rig beside it."""
+    """The leg as an MJCF file, and its rig next to it."""
     (folder / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     path = folder / "leg.xml"
     model = load_model(write_model(folder / "m.json", leg.beta().tolist(), LEG))
