@@ -26,9 +26,8 @@ from msgspec import structs
 
 from daq import Column, InputError
 from experiments.exchange.column_map import apply_map, only_time, with_scales
-from experiments.exchange.guess_chain import find_chain, of_joints, same_joint
+from experiments.exchange.guess_chain import find_chain
 from experiments.exchange.guess_following import MOST_LINKS, guess_following, with_commands, with_loads, with_rates
-from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_leg import guess_leg
 from experiments.exchange.guess_names import (
     MOST_RIVALS,
@@ -40,6 +39,8 @@ from experiments.exchange.guess_names import (
     has,
     lacking,
     measured_columns,
+    of_joints,
+    same_joint,
     says,
     time_column,
     usable,
@@ -91,8 +92,6 @@ def _guess_one(imported: ImportedFile, gravity_mps2: float) -> GuessedMap:
 def _guess_measured(imported: ImportedFile, gravity_mps2: float) -> GuessedMap:
     """The guess from measured angles, torques and IMU."""
     columns, notes, rivals = _by_name(imported)
-    if _is_joint(imported):
-        return _guess_joint(imported, columns, notes)
     if _is_chain(imported):
         return _guess_chain(imported, columns, notes, gravity_mps2)
     if "q2_rad" not in columns or "tau2_nm" not in columns:
@@ -116,18 +115,13 @@ def _timed(imported: ImportedFile, rate_hz: float) -> ImportedFile:
         for table in imported.tables if table.columns))
 
 
-def _is_joint(imported: ImportedFile) -> bool:
-    """One measured angle, at most one measured torque, and no sensor of a leg: neither read nor left out."""
-    return len(measured_columns(imported, "q1", "q2")) == 1 and not has(imported, "gyro", "accel") and (
-        len(fitting(imported, "tau")) == 1 or not has(imported, "tau"))
-
-
 def _is_chain(imported: ImportedFile) -> bool:
-    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out."""
+    """One angle with one torque, angles of three joints or more, torques of two, or no torque; and no gyro or
+    accelerometer, neither read nor left out."""
     angles, torques = _angles(imported), fitting(imported, "tau")
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (
-        len(angles) > 2 or (len(torques) == 2 and not same_joint(angles, torques)))
-    some |= 2 <= len(angles) <= MOST_LINKS and not has(imported, "tau")
+        len(angles) != 2 or (len(torques) == 2 and not same_joint(angles, torques)))
+    some |= 1 <= len(angles) <= MOST_LINKS and not has(imported, "tau")
     return some and not has(imported, "gyro", "accel")
 
 
@@ -199,14 +193,6 @@ def _wrenches(imported: ImportedFile) -> list[str]:
         return []
     return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the "
             "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
-
-
-def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> GuessedMap:
-    """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
-    theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"]}
-    theirs |= {"tau1_nm": columns["tau2_nm"]} if "tau2_nm" in columns else {}
-    found = find_joint(apply_map(imported, theirs | only_time(columns)), theirs)
-    return _guess_of(columns, notes, found, [] if "tau1_nm" in theirs else _maybe_torques(imported))
 
 
 def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str], list[Column]]:

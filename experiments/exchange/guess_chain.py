@@ -1,25 +1,24 @@
-"""Unit and signs of the angles and torques of a chain of joints with encoders, by its equation of motion."""
+"""Units and signs of the angles and torques of a chain of joints, by its equation of motion."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from msgspec import structs
-from scipy.optimize import linear_sum_assignment
 
 from daq import Column, Dataset, FloatArray
-from estimator.calibration import TRIED
+from estimator.calibration import MOST_SPAN, TRIED
 from estimator.model import Mechanism, chain
+from experiments.exchange.guess_names import says
 from experiments.exchange.guess_physics import (
     EXPLAINS,
     NOT_SURE,
     SIGNS,
-    SMOOTHING_RADPS,
     Found,
+    Pose,
     Sign,
     Way,
     close_call,
@@ -29,144 +28,174 @@ from experiments.exchange.guess_physics import (
     share_left,
     smooth,
 )
+from experiments.exchange.units import factor
 
+SMOOTHING_RADPS = 0.05
+"""Velocity over which the sign of friction is smoothed."""
 MOST_ROWS = 1500
 """Instants, evenly taken, at which the equation of motion is put up."""
 POSES = 20
 """Instants at which the inertia matrix must be positive definite."""
+BLOCKS = 4
+"""Parts of a single joint's record that must agree on the sign of the inertia."""
 HANGS_RAD = 0.1
 """A zero of joint 1 further from hanging than this is reported."""
+Motion = tuple[FloatArray, FloatArray, FloatArray]
+"""q, qd and qdd, (N, n) each."""
 
 
 @dataclass(frozen=True)
 class _Reading(Way):
-    """The angles in one unit, relative or absolute, with signs of angles and torques."""
+    """The angles in their units, relative or absolute, with signs of angles and torques."""
 
+    units: tuple[str, ...]
+    overrules: bool
+    """Whether a unit is another than the name states."""
     absolute: bool
     signs: tuple[Sign, ...]
     works: tuple[Sign, ...]
-    q: FloatArray
-    """(N, n) [rad]"""
+    angles: FloatArray
+    """(n, n) q = angles @ q_read"""
     beta: FloatArray
-    """(p,) by least squares"""
+    """(p + links,) by least squares"""
 
     def __str__(self) -> str:
         signs = [f"of {what} {' '.join(f'{s:+d}' for s in some)}"
                  for what, some in (("angles", self.signs), ("torques", self.works)) if some]
-        return f"{self.unit or 'rad'}{', absolute' * self.absolute}, signs {', '.join(signs)}"
+        return f"{self.units[-1] or 'rad'}{', absolute' * self.absolute}, signs {', '.join(signs)}"
 
 
-def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
-    """Joint from 0 -> its torque or command, by the words and numbers that a name shares with that of an angle."""
-    if not others:
-        return {}
-    shared = _shared(angles, others)
-    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(others)), np.arange(len(angles))))
-    rows, columns = linear_sum_assignment(-(shared + order))
-    return {int(column): others[int(row)] for row, column in zip(rows, columns)}
+def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose: Pose | None = None) -> Found:
+    """Units of the angles and signs of angles and torques of a chain of joints, by tau = Z beta.
 
-
-def same_joint(angles: Sequence[str], torques: Sequence[str]) -> bool:
-    """Whether two torque columns name one and the same joint: two readings of one torque."""
-    shared = _shared(angles, torques)
-    named = [int(np.argmax(row)) for row in shared if np.sum(row == row.max()) == 1 and row.max() > 0.0]
-    return len(set(named)) < len(named)
-
-
-def _shared(angles: Sequence[str], torques: Sequence[str]) -> FloatArray:
-    """(torques, angles) words and numbers that two names share, and not all angles have."""
-    words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
-    common = set.intersection(*words[0]) if len(angles) > 1 else set()
-    return np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)
-
-
-def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> Found:
-    """Unit of the angles and signs of angles and torques of a chain of joints, each with an encoder.
-
-    `columns` are q1_rad, q2_rad, ... and the torque of each driven joint; a chain without one swings freely, and the
-    other terms must explain what the first inertia needs. The equation of motion of the open chain
-    must leave little of the torques under the right unit and signs, with a positive definite inertia matrix. Absolute
-    angles are tried, too. Columns that nothing explains are left as they stand in the file. Whether the chain is seen
-    from its left or its right does not show: joint 1's angle keeps its sign.
+    `columns` are q1_rad, q2_rad, ... and the torque of each driven joint, or the command that it follows: then the
+    torque of `raw` is the command's error. A chain without either swings freely, and the other terms must explain what
+    the first inertia needs. The equation of motion must leave little of the torques under the right units and signs,
+    with a positive definite inertia matrix. The unit of a name stays unless another one explains far better; without
+    gravity units do not show. Absolute angles are tried, too. With `pose` an IMU has the motion of joint 1. Columns
+    that nothing explains are left as they stand in the file. Whether the chain is seen from its left or its right does
+    not show: joint 1's angle keeps its sign.
     """
-    n = sum(name.startswith("q") for name in columns)
-    driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
+    n = max(int(name[1]) for name in columns if name[0] == "q")
+    driven = [j for j in range(n) if {f"tau{j + 1}_nm", f"q{j + 1}_cmd_rad"} & columns.keys()]
     mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
+    names = [f"q{k + 1}_rad" for k in range(n)]
+    read = [smooth(raw[name], raw.rate_hz) for name in names[pose is not None :]]
+    q = np.stack([*([] if pose is None else [smooth(pose.q1, raw.rate_hz)]), *read], axis=-1)
+    qd = np.gradient(q, 1.0 / raw.rate_hz, axis=0)
+    if pose is not None:
+        qd[:, 0] = smooth(pose.rate, raw.rate_hz)
+    motion = q, qd, np.gradient(qd, 1.0 / raw.rate_hz, axis=0)
+    torque = np.zeros(q.shape)
+    for j in driven:
+        torque[:, j] = smooth(raw[f"tau{j + 1}_nm"], raw.rate_hz)
+    use = inside(raw, [name for name in (*names[pose is not None :], *(f"tau{j + 1}_nm" for j in driven))])
+    rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
+    hip = Column(name="", unit="rad")
+    encoders = [columns[name] if name != "q1_rad" or pose is None else hip for name in names]
+    follows = any(name.endswith("_cmd_rad") for name in columns)
 
-    ways = ranked(_readings(mechanism, raw, columns, driven), "")
+    ways = ranked(_readings(mechanism, (q[rows], qd[rows], motion[2][rows]), torque[rows], driven, encoders,
+                            pose is None, follows))
     first = ways[0]
-    z = regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1] if driven else 0]
-    if driven:
-        read = first.works[-1] * smooth(raw[f"tau{driven[-1] + 1}_nm"], raw.rate_hz)
-        made = z @ first.beta
-    else:
-        read, made = z[:, 0], z[:, 0] - z @ first.beta
-    found = _found(ways, columns, (read, made))
+    z = regressor(mechanism, _moved(motion, first.angles))[:, driven[-1] if driven else 0]
+    made = z @ first.beta
+    check = (first.works[-1] * torque[:, driven[-1]], made) if driven else (z[:, 0], z[:, 0] - made)
+    found = _found(ways, columns, [*zip(names, encoders)][pose is not None :], check)
+    parts = zip(*(np.array_split(x[rows], BLOCKS) for x in (z, check[0])))
+    if n == 1 and driven and not found.unexplained and not follows and any(
+            np.linalg.lstsq(one, push, rcond=None)[0][0] <= 0.0 for one, push in parts):
+        found.unexplained.append(f"the sign of {columns['tau1_nm'].name!r} does not show: parts of the record differ "
+                                 "in the sign of the inertia; import a record with faster motion")
+        found.notes["tau1_nm"] = "NOT KNOWN: its sign does not show"
     tilt = _hangs_at(mechanism, first.beta)
-    if not found.unexplained and abs(tilt) > HANGS_RAD:
+    if n > 1 and pose is None and first.left <= EXPLAINS and abs(tilt) > HANGS_RAD:
         found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: set offset = {-tilt:.2f} under "
                               "[columns.q1_rad]")
     return found
 
 
-def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray]) -> Found:
+def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], angles: Sequence[tuple[str, Column]],
+           check: tuple[FloatArray, FloatArray]) -> Found:
     """The map by the first of `ways`, with reasons and warnings."""
     first = ways[0]
-    second = min((way for way in ways if way.left != first.left), key=lambda way: way.left, default=first)
-    angles, torques = ([name for name in sorted(columns) if name.startswith(kind)] for kind in ("q", "tau"))
-    what = "the torques" if torques else "the accelerations"
+    second = next((way for way in ways[1:] if way.overrules == first.overrules and way.left != first.left), first)
+    torques = [name for name in columns if name.startswith("tau") and "cmd" not in name]
+    commands = [name for name in columns if name.endswith("_cmd_rad")]
+    several = "s" * (max(len(torques) or len(angles), 1) > 1)
+    what = f"the torque{several}" if torques else "the command's error" if commands else f"the acceleration{several}"
     warnings = [text for name in torques for text in scale_warnings(name, columns[name])]
-    if not torques:
+    warnings += [f"{angle.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand"
+                 for _, angle in angles if not angle.unit and says(angle.name, "motor")]
+    if not torques and not commands:
         warnings.append("no torque: the joints swing freely. Write actuated = [] under [mechanism], and give legid fit "
                         "one parameter with --fix: without a torque only ratios show")
-    if first.left > EXPLAINS:
-        named = ", ".join(repr(columns[name].name) for name in angles)
-        why = (f"no unit and signs of {named} explain {what} (the best leave {100 * first.left:.0f} %): too "
-               "little motion, a motor's angle before its gear, another order of the joints, or a mechanism that is no "
-               "open chain")
-        notes = {name: f"NOT KNOWN: no unit and signs explain {what}" for name in angles}
-        notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
-        return Found(dict(columns), notes, warnings, [why], check, left=first.left)
-    close = close_call("unit and signs", what, first, second)
+    unknown = first.left > EXPLAINS
+    if unknown:
+        named, pushed = (", ".join(repr(column.name) for column in some)
+                         for some in ([angle for _, angle in angles], [columns[name] for name in torques]))
+        why = (f"no unit and sign of {named} explain {what}{pushed and f' {pushed}'} (the best leave "
+               f"{100 * first.left:.0f} %): too little motion, a motor's angle before its gear, another order of the "
+               "joints, other joints, a delay, an IMU that is turned, or no open chain")
+        if not commands:
+            notes = {name: f"NOT KNOWN: no unit and sign explain {what}" for name, _ in angles}
+            notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
+            return Found(dict(columns), notes, warnings, [why], check, left=first.left)
+        warnings.append(why)  # what a loop adds, a delay or an integral, is in the error, too
+    elif first.overrules:
+        stated = next(way for way in ways if not way.overrules)
+        warnings += [f"the name of {angle.name!r} says {angle.unit}, but in {unit or 'rad'} the equation of motion "
+                     f"leaves {100 * first.left:.0f} % of {what}, not {100 * stated.left:.0f} %: {unit or 'rad'} is "
+                     "taken" for (_, angle), unit in zip(angles, first.units[-len(angles) :]) if angle.unit != unit]
+    close = [] if unknown else close_call("unit and signs", what, first, second)
     warnings += close
-    prefix = NOT_SURE * bool(close)
-    found, notes = {}, {}
-    for k, (column, sign) in enumerate(zip(angles, first.signs)):
-        angle, less = columns[column], columns[angles[k - 1]].name if first.absolute and k else ""
-        unit = angle.unit or first.unit
+    prefix = NOT_SURE * bool(close or unknown)
+    found, notes = dict(columns), {}
+    for k, (column, angle) in enumerate(angles):
+        unit, sign = (some[k - len(angles)] for some in (first.units, first.signs))
+        less = angles[k - 1][1].name if first.absolute and k else ""
         found[column] = structs.replace(angle, unit=unit, minus=less, sign=sign)
         notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
                          f"motion leaves {100 * first.left:.1f} % of {what} (next best: {100 * second.left:.0f} %)")
+        command = columns.get(wanted := column.replace("_", "_cmd_", 1))
+        if command is not None:
+            found[wanted] = structs.replace(command, unit=command.unit or unit, sign=sign * command.sign)
     for column, sign in zip(torques, first.works):
-        found[column] = structs.replace(columns[column], sign=sign)
+        found |= {name: structs.replace(columns[name], sign=sign) for name in columns if name[:4] == column[:4]}
         notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
     return Found(found, notes, warnings, [], check, left=first.left)
 
 
-def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
-              ) -> Iterator[_Reading]:
-    """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
+def _readings(mechanism: Mechanism, motion: Motion, torque: FloatArray, driven: Sequence[int],
+              angles: Sequence[Column], absolute: bool, follows: bool) -> Iterator[_Reading]:
+    """Every unit and sign with what it leaves, and with `absolute` the angles against the world."""
     n = mechanism.n
-    names = [f"q{k + 1}_rad" for k in range(n)]
-    angles = np.stack([smooth(raw[name], raw.rate_hz) for name in names], axis=-1)
-    torque = np.zeros((len(raw), n))
-    for j in driven:
-        torque[:, j] = smooth(raw[f"tau{j + 1}_nm"], raw.rate_hz)
-    use = inside(raw, [*names, *(f"tau{j + 1}_nm" for j in driven)])
-    rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
-    stated = [bool(columns[name].unit) for name in names]
-    variants = [(False, (*SIGNS[:1], *signs)) for signs in product(SIGNS, repeat=n - 1)] + [(True, SIGNS[:1] * n)]
-    for (unit, scale), (absolute, signs) in product(TRIED["rad"].items(), variants):
-        if all(stated) and unit:
-            continue
-        q = angles * np.where(stated, 1.0, scale) * np.array(signs)
-        if absolute:
-            q = np.diff(q, axis=-1, prepend=0.0)
-        z = regressor(mechanism, q, raw.rate_hz)[rows]
-        for works, left, beta in _fits(z, torque[rows], driven):
-            inertia = mechanism.inertia_matrix(q[rows[:: max(1, rows.size // POSES)]], beta[: mechanism.p])
-            possible = np.linalg.eigvalsh(inertia).min() > 0.0
-            yield _Reading(left if possible else max(left, 1.0), unit, absolute, signs, works, q, beta)
+    spans = np.ptp(motion[0], axis=0)
+    usual = "deg" if spans.max() > MOST_SPAN else ""
+    own = [factor(angle.unit, "q1_rad", angle.name) for angle in angles]
+    scales: dict[tuple[float, ...], tuple[tuple[str, ...], bool]] = {}
+    for overrules, unit in product((False, True), TRIED["rad"]):
+        units = tuple(angle.unit if angle.unit and (not overrules or not angle.name) else unit for angle in angles)
+        scales.setdefault(tuple(factor(one, "q1_rad", "") / size for one, size in zip(units, own)), (units, overrules))
+    turns = [((1, *some), np.diag((1, *some)), False) for some in product(SIGNS, repeat=n - 1)]
+    turns += [(SIGNS[:1] * n, np.eye(n) - np.eye(n, k=-1), True)] * (absolute and n > 1)
+    for (factors, (units, overrules)), (signs, turn, less) in product(scales.items(), turns):
+        read = turn * factors
+        z = regressor(mechanism, _moved(motion, read))
+        poses = (motion[0] @ read.T)[:: max(1, len(z) // POSES)]
+        named = not (overrules or less) and all(angle.unit or unit == usual for angle, unit in zip(angles, units))
+        for works, left, beta in _fits(z, torque, driven):
+            possible = np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() > 0.0
+            if follows and n > 1:  # a drive pushes the angle towards its command
+                possible &= works == signs[-len(works) :]
+            left = left if possible else max(left, 1.0)
+            yield _Reading(left, named, units, overrules, less, signs, works, read, beta)
+
+
+def _moved(motion: Motion, angles: FloatArray) -> Motion:
+    """The motion of joints whose angles are `angles` (n, n) @ those that are read."""
+    q, qd, qdd = (x @ angles.T for x in motion)
+    return q, qd, qdd
 
 
 def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
@@ -183,19 +212,17 @@ def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
         return
     inverse = np.linalg.pinv(flat.T @ flat, hermitian=True)
     parts = np.einsum("njk,nj->jk", z, torque)
-    power = float(np.sum(torque**2))
-    spread = max(float(np.sum(np.var(torque, axis=0))) * len(torque), 1e-30)
+    power = max(float(np.sum(torque**2)), 1e-30)
     for works in product(SIGNS, repeat=len(driven)):
         right = np.array(works, dtype=float) @ parts[list(driven)]
         beta = inverse @ right
-        yield works, float(np.sqrt(max(power - right @ beta, 0.0) / spread)), beta
+        yield works, float(np.sqrt(max(1.0 - right @ beta / power, 0.0))), beta
 
 
-def regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:
+def regressor(mechanism: Mechanism, motion: Motion) -> FloatArray:
     """(N, n, p + links) of tau = Z beta + Z_g beta_g: the mechanism, then gravity with joint 1 a quarter turn ahead."""
-    v = np.gradient(q, 1.0 / rate_hz, axis=0)
-    z = mechanism.regressor(q, v, np.gradient(v, 1.0 / rate_hz, axis=0))
-    ahead, still = q.copy(), np.zeros_like(q)
+    z = mechanism.regressor(*motion)
+    ahead, still = motion[0].copy(), np.zeros_like(motion[0])
     ahead[:, 0] += 0.5 * np.pi
     return np.concatenate([z, mechanism.regressor(ahead, still, still)[..., _gravity(mechanism)]], axis=-1)
 

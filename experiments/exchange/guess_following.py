@@ -12,16 +12,15 @@ from msgspec import structs
 from daq import Column
 from daq.runs import ENABLED
 from experiments.exchange.column_map import apply_map, only_time
-from experiments.exchange.guess_chain import of_joints
+from experiments.exchange.guess_chain import find_chain
 from experiments.exchange.guess_leg import guess_leg
-from experiments.exchange.guess_names import clock_of, fitting, has, measured_columns
+from experiments.exchange.guess_names import clock_of, fitting, has, measured_columns, of_joints
 from experiments.exchange.guess_physics import NOT_SURE
 from experiments.exchange.guess_result import GuessedMap
 from experiments.exchange.guess_servo import (
     Command,
     commands_of,
     feedforwards_of,
-    find_servo_joint,
     followed,
     is_rate_of,
     not_following,
@@ -73,7 +72,7 @@ def guess_following(imported: ImportedFile, gravity_mps2: float) -> tuple[Guesse
     if imu or (2 in order and len(order) == 2 and list(joints) == [2]):
         return _following_leg(imported, clock, reasons, order, read[2], gravity_mps2), []
     if len(order) == 1:
-        return _following_joint(imported, clock, reasons, read[1]), []
+        return _following_joint(imported, clock, reasons, read[1], gravity_mps2), []
     return _following_chain(imported, clock, reasons, order, read), apart
 
 
@@ -121,15 +120,18 @@ def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapp
             for j in joints}
 
 
-def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command
-                     ) -> GuessedMap:
+def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command,
+                     gravity_mps2: float) -> GuessedMap:
     """The guess for a single joint that follows a command; with its duty and volts where the file has both."""
     theirs = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
-    joint = find_servo_joint(apply_map(imported, clock | theirs), one)
+    run = apply_map(imported, clock | theirs)
+    error = {"tau1_nm": run["q1_cmd_rad"] - run["q1_rad"]}
+    joint = find_chain(replace(run, columns={**run.columns, **error}), theirs, gravity_mps2)
     driven = motor_columns(imported)
     columns = joint.columns | driven | clock
     warnings = [*joint.warnings, VOLTS if "duty" in driven else servo_hint([1])]
-    notes = reasons | joint.notes | dict.fromkeys(driven, "by its layout; the motor's voltage is duty times volts")
+    notes = reasons | joint.notes | {"q1_cmd_rad": followed(one)}
+    notes |= dict.fromkeys(driven, "by its layout; the motor's voltage is duty times volts")
     if ENABLED in driven:
         notes[ENABLED] = "by its name; a motor that is off is open, and has no voltage"
     curves = {"q1_cmd_rad - q1_rad: measured, and computed from the motion [rad]": joint.check}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from daq import BoolArray, Column, FloatArray, InputError
 from daq.runs import MOST, unwrapped_counter
@@ -189,3 +190,27 @@ def _not_a_clock(values: FloatArray) -> str:
     digits = next((d for d in range(5, 12) if all(float(f"{v:.{d - 1}e}") == v for v in values[known[:1000]])), 0)
     few = digits and abs(values[known[0]]) >= 10.0**digits
     return f"{still}: its times have {digits} digits only" if few else still
+
+
+def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
+    """Joint from 0 -> its torque or command, by the words and numbers that a name shares with that of an angle."""
+    if not others:
+        return {}
+    shared = _shared(angles, others)
+    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(others)), np.arange(len(angles))))
+    rows, columns = linear_sum_assignment(-(shared + order))
+    return {int(column): others[int(row)] for row, column in zip(rows, columns)}
+
+
+def same_joint(angles: Sequence[str], torques: Sequence[str]) -> bool:
+    """Whether two torque columns name one and the same joint: two readings of one torque."""
+    shared = _shared(angles, torques)
+    named = [int(np.argmax(row)) for row in shared if np.sum(row == row.max()) == 1 and row.max() > 0.0]
+    return len(set(named)) < len(named)
+
+
+def _shared(angles: Sequence[str], torques: Sequence[str]) -> FloatArray:
+    """(torques, angles) words and numbers that two names share, and not all angles have."""
+    words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
+    common = set.intersection(*words[0]) if len(angles) > 1 else set()
+    return np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)

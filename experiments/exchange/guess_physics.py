@@ -8,21 +8,16 @@ from itertools import product
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
-from msgspec import structs
 from scipy.ndimage import binary_dilation
 
 from daq import BoolArray, Column, Dataset, FloatArray
 from estimator.calibration import TRIED
-from estimator.model import leg2
 from estimator.signals import lowpass
-from experiments.exchange.guess_names import says
 from experiments.exchange.units import factor, unit_in_name
 
 SLOW_HZ = 0.3
 """Below this the accelerometer gives the pivot's angle, above it the gyro's integral."""
 FAST_HZ = 8.0
-SMOOTHING_RADPS = 0.05
-"""Velocity over which the sign of friction is smoothed."""
 Sign = Literal[1, -1]
 SIGNS: tuple[Sign, ...] = (1, -1)
 CLEAR = 1.5
@@ -67,32 +62,29 @@ class Way:
 
     left: float
     """Residual as a share of what is to be explained."""
-    unit: str
-    """Of the angle or the rate; empty for the contract's own."""
+    named: bool
+    """Whether it is what the names say: their units, rad where they state none, and angles against the link before."""
 
 
 W = TypeVar("W", bound=Way)
 
 
 @dataclass(frozen=True)
-class _Signed(Way):
+class _Turning(Way):
+    """The gyro read against one axis of the accelerometer."""
+
+    unit: str
     sign: Sign
     made: FloatArray
     """(n,) what is to be explained, as physics makes it."""
-
-    def __str__(self) -> str:
-        return f"{self.unit or 'rad'}, sign {self.sign:+d}"
-
-
-@dataclass(frozen=True)
-class _Turning(_Signed):
-    """The gyro read against one axis of the accelerometer."""
-
     side: str
     """The axis across the link."""
     read: FloatArray
     lever: float
     pose: Pose
+
+    def __str__(self) -> str:
+        return f"{self.unit}, sign {self.sign:+d}"
 
 
 def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str, FloatArray], gravity: float) -> Found:
@@ -120,7 +112,7 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
         # the axis across the plane of motion is explained by nothing, and by nothing well: only a live axis counts
         live = float(np.std(accel[side])) / max(float(np.std(np.stack(list(accel.values())), axis=1).max()), 1e-30)
         left = share_left(read, made) / max(live, 1e-6)
-        best.append(_Turning(left, unit or "rad/s", sign, made, side, read, lever, pose))
+        best.append(_Turning(left, False, unit or "rad/s", sign, made, side, read, lever, pose))
     first, second, *_ = ranked(best)
     unit, said = first.unit, unit_in_name(turning, "gyro_radps")
     fits = f"in {unit}, sign {first.sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
@@ -147,15 +139,13 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     return Found(columns, notes, warnings, unexplained, (first.read, first.made), first.pose)
 
 
-def ranked(ways: Iterable[W], stated: str | None = None) -> list[W]:
-    """`ways`, what leaves least first; in front of it those in a unit that is stated, unless another unit explains, and
-    far better."""
+def ranked(ways: Iterable[W]) -> list[W]:
+    """`ways`, what leaves least first; in front of it those by name, unless another explains, and far better."""
     out = sorted(ways, key=lambda way: way.left)
-    named = [way for way in out if way.unit == stated]
-    if not named or out[0].unit == stated or (
-            out[0].left <= EXPLAINS and CLEAR * out[0].left < named[0].left):
+    named = [way for way in out if way.named]
+    if not named or out[0].named or (out[0].left <= EXPLAINS and CLEAR * out[0].left < named[0].left):
         return out
-    return named + [way for way in out if way.unit != stated]
+    return named + [way for way in out if not way.named]
 
 
 def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
@@ -163,7 +153,7 @@ def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
     if second.left >= CLEAR * first.left:
         return []
     return [f"{whose} are a close call: {first}, leaves {100 * first.left:.0f} % of {what}, {second}, "
-            f"{100 * second.left:.0f} %; look at the plot"]
+            f"{100 * second.left:.0f} %; look at the plot, and set them by hand if they are others"]
 
 
 def share_left(wanted: FloatArray, made: FloatArray) -> float:
@@ -220,122 +210,3 @@ def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: fl
     swing, sine = (_band(x, rate_hz) for x in (np.gradient(omega, 1.0 / rate_hz), gravity * np.sin(q1)))
     lever = max(float(swing @ (_band(a_x, rate_hz) - sine) / max(float(swing @ swing), 1e-30)), 0.0)
     return lever * swing + sine, lever, Pose(q1, omega)
-
-
-@dataclass(frozen=True)
-class _Knee(_Signed):
-    """Angles in one unit and sign, and what the equation of motion leaves of the torque."""
-
-    hip_unit: str
-    works: Sign
-
-
-def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gravity: float) -> Found:
-    """Unit and sign of the knee's angle, sign of its torque; with an encoder on the pivot, its unit too.
-
-    `raw` has the columns as the file has them but for units that names state. A name's unit is kept unless another one
-    explains the torque, and far better. Without a torque in `columns` the one of `raw` is the error of the command
-    `q2_cmd_rad`: it has the sign of the knee's angle, and a scale that is not known.
-    """
-    knee, torque = columns["q2_rad"], columns.get("tau2_nm")
-    what = f"the torque {torque.name!r}" if torque else f"the error of the command {columns['q2_cmd_rad'].name!r}"
-    short = "the torque" if torque else "the command's error"
-    push = filled(raw["tau2_nm"])
-    ways = _knees(raw, columns, pose, push, gravity)
-    first, second, *_ = ranked(ways, knee.unit or None)
-    unit = first.unit or "rad"
-    warnings, unexplained = overruled(knee, ways, first.unit, short), []
-    known, close = first.left <= EXPLAINS, close_call("the knee's unit and sign", short, first, second)
-    if not known:
-        unexplained.append(
-            f"no unit and sign of {knee.name!r} explains {what} (the best leaves "
-            f"{100 * first.left:.0f} %): too little motion, the motor's angle (scale = 1 / gear ratio), an absolute "
-            "angle, another joint's, or late" + ("" if pose is None else ", or the IMU turned against the link"))
-    else:
-        warnings += close
-    out = {"q2_rad": structs.replace(knee, unit=first.unit, sign=first.sign)}
-    out |= {name: structs.replace(columns[name], sign=first.works) for name in ("tau2_nm", "tau2_cmd_nm")
-            if name in columns}
-    if torque is None:
-        command = columns["q2_cmd_rad"]
-        out["q2_cmd_rad"] = structs.replace(
-            command, unit=command.unit or first.unit, sign=command.sign if first.sign > 0 else -command.sign)
-        warnings += unexplained  # a loop's delay or integral is in the error, too
-        unexplained, known = [], True
-    if pose is None and "q1_rad" in columns:
-        out["q1_rad"] = structs.replace(columns["q1_rad"], unit=first.hip_unit)
-    prefix = NOT_SURE * (bool(close) or first.left > EXPLAINS)
-    notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
-                       f"{100 * first.left:.1f} % of {short} (next best: {100 * second.left:.0f} %)",
-             "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"
-             } if known else {"q2_rad": f"NOT KNOWN: no unit and sign explains {short}",
-                              "tau2_nm": "NOT KNOWN: its sign does not show"}
-    if torque is None:
-        del notes["tau2_nm"]
-    else:
-        warnings += scale_warnings("tau2_nm", torque)
-    if not knee.unit and says(knee.name, "motor"):
-        warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
-    read = first.works * smooth(push, raw.rate_hz)
-    return Found(out, notes, warnings, unexplained, (read, first.works * first.made), left=first.left)
-
-
-def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push: FloatArray, gravity: float
-           ) -> list[_Knee]:
-    """What every unit and sign leaves. A pivot's encoder without a unit of its own has the knee's."""
-    knee, hip = columns["q2_rad"], columns.get("q1_rad", Column(name=""))
-    angles = {unit: scale * filled(raw["q2_rad"]) for unit, scale in units_of(knee).items()}
-    if pose is not None:
-        poses = {hip.unit: pose}
-    else:
-        q1 = filled(raw["q1_rad"])
-        poses = {unit: Pose(scale * q1, scale * np.gradient(q1, 1.0 / raw.rate_hz))
-                 for unit, scale in units_of(hip).items() if not hip.unit or unit == hip.unit}
-    measured = [name for name in ("q1_rad", "q2_rad", "tau2_nm") if name in raw]
-    follows = "tau2_nm" not in columns
-    use = inside(raw, measured if pose is None else measured[-2:])
-    out = []
-    for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), SIGNS):
-        if pose is None and not (hip.unit or knee.unit) and unit != hip_unit:
-            continue
-        left, beta, made = _equation(link, sign * angle, push, use, raw.rate_hz, gravity)
-        works: Sign = 1 if beta[0] > 0 else -1
-        against = follows and works != sign  # a drive pushes the angle towards its command
-        out.append(_Knee(max(left, 1.0) if against else left, unit, sign, made, hip_unit, works))
-    return out
-
-
-def units_of(column: Column) -> dict[str, float]:
-    """Unit -> factor to be put on an angle that is read by the unit of its name, for every unit that it may have."""
-    stated = factor(column.unit, "q2_rad", column.name)
-    return {column.unit: 1.0} | {unit: scale / stated for unit, scale in TRIED["rad"].items()
-                                 if not np.isclose(scale, stated)}
-
-
-def overruled(column: Column, ways: Iterable[Way], unit: str, what: str) -> list[str]:
-    """A warning where the name of an angle states another unit than `unit`, which explains `what` better; else none."""
-    left = {way.unit: way.left for way in ranked(ways)[::-1]}
-    return [] if not column.unit or unit == column.unit else [
-        f"the name of {column.name!r} says {column.unit}, but in {unit or 'rad'} the equation of motion leaves "
-        f"{100 * left[unit]:.0f} % of {what}, not {100 * left[column.unit]:.0f} %: {unit or 'rad'} is taken"]
-
-
-def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, use: BoolArray, rate_hz: float, gravity: float
-              ) -> tuple[float, FloatArray, FloatArray]:
-    """What tau = Z beta with least squares leaves of the torque, as a share; beta (9,); the torque that it makes (n,).
-
-    Only samples of `use` (n,) do.
-
-    A beta without positive inertias is no leg's: its residual counts as the whole torque.
-    """
-    mechanism = leg2(gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
-    q = smooth(np.stack([hip.q1, q2], axis=-1), rate_hz)
-    rate = smooth(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), rate_hz)
-    z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
-    tau = smooth(torque, rate_hz)
-    rows = np.concatenate([z[use, 0], z[use, 1]])
-    wanted = np.concatenate([np.zeros(int(use.sum())), tau[use]])
-    beta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    left = share_left(wanted, rows @ beta)
-    sane = beta[0] * beta[1] > 0 and beta[2] ** 2 < beta[0] * beta[1]
-    return left if sane else max(left, 1.0), beta, z[:, 1] @ beta

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Column, Dataset, FloatArray
+from experiments.exchange.guess_chain import find_chain
 from experiments.exchange.guess_names import measured_columns
-from experiments.exchange.guess_physics import Found, Pose, find_knee
+from experiments.exchange.guess_physics import Found, Pose
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.layouts import UNIT
 
@@ -95,12 +96,12 @@ def best_knee(raw: Dataset, columns: Mapping[str, Column],
     """The knee by the angle and the torque that agree best, and a note for each that had `rivals`: further columns and
     their readings, those of torques as plain numbers."""
     notes: dict[str, str] = {}
-    best, run, used = find_knee(raw, columns, pose, gravity), raw, dict(columns)
+    best, run, used = find_chain(raw, columns, gravity, pose), raw, dict(columns)
     for name, others in rivals.items():
         tried = [(best, run, used)]
         for rival, values in others:
             other = replace(run, columns={**run.columns, name: values})
-            tried.append((find_knee(other, {**used, name: rival}, pose, gravity), other, {**used, name: rival}))
+            tried.append((find_chain(other, {**used, name: rival}, gravity, pose), other, {**used, name: rival}))
         first, least = best.left, min(tried, key=lambda one: one[0].left)
         if others:
             left = ", ".join(f"{with_it[name].name!r} leaves {100 * one.left:.0f} %" for one, _, with_it in tried)

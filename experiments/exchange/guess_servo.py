@@ -17,18 +17,8 @@ from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
 from estimator.calibration import TRIED
-from experiments.exchange.guess_joint import readings
 from experiments.exchange.guess_names import NOT_AN_ANGLE, NOT_MEASURED, TIME_NAMES, changes, kind_of, says
-from experiments.exchange.guess_physics import (
-    CLEAR,
-    EXPLAINS,
-    NOT_SURE,
-    Found,
-    filled,
-    inside,
-    ranked,
-    smooth,
-)
+from experiments.exchange.guess_physics import filled, smooth
 from experiments.exchange.imported import ImportedFile
 
 A_COMMAND = r"goal|target|cmd|command|set_?point|desired|(?<![a-z])action|joint_trajectory"
@@ -43,8 +33,6 @@ LATEST_S = 0.5
 """Delays that are tried."""
 ALIKE = 2.0
 """A slope of the angle over the command within this factor of a unit's is that unit's."""
-TURNS = 4.0 * np.pi
-"""A joint that follows commands turns less far [rad]."""
 
 
 class Command(NamedTuple):
@@ -118,30 +106,6 @@ def not_following(one: Command) -> str:
         return ""
     return (f"{one.angle.name!r} does not follow {one.command.name!r} (correlation {one.follows:.2f} at best): the "
             "command of another joint, or a drive that was off")
-
-
-def find_servo_joint(raw: Dataset, one: Command) -> Found:
-    """Unit of the angle of one joint that follows a command: gain (c - q) = I qdd + b qd + c sgn(qd) + gravity.
-
-    `raw` has q1_rad and q1_cmd_rad in one unit, with the command's sign.
-    """
-    use = inside(raw, ["q1_rad", "q1_cmd_rad"])
-    error = smooth(filled(raw["q1_cmd_rad"]) - filled(raw["q1_rad"]), raw.rate_hz)
-    stated = "deg" if np.ptp(raw["q1_rad"][use]) > TURNS else ""
-    ways = ranked(readings(raw, use, {one.angle.unit: 1.0} if one.angle.unit else TRIED["rad"], error), stated)
-    first, clear = ways[0], bool(one.angle.unit) or ways[1].left >= CLEAR * ways[0].left
-    warnings, shown = [], first.unit or "rad"
-    if not clear:
-        warnings.append(f"the unit of {one.angle.name!r} does not show: {shown} is taken; set it by hand if it is "
-                        "another")
-    if first.left > EXPLAINS:
-        warnings.append(f"the motion explains {100 * max(1.0 - first.left, 0.0):.0f} % of the command's error: "
-                        "the loop has a delay, an integral or a limit, or other joints move this one")
-    found = {"q1_rad": structs.replace(one.angle, unit=first.unit),
-             "q1_cmd_rad": structs.replace(one.command, unit=one.command.unit or first.unit)}
-    notes = {"q1_rad": f"{NOT_SURE * (not clear)}one angle that follows a command, in {shown}",
-             "q1_cmd_rad": followed(one)}
-    return Found(found, notes, warnings, [], (error, first.made), left=first.left)
 
 
 def followed(one: Command) -> str:

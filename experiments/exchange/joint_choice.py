@@ -8,8 +8,7 @@ from dataclasses import replace
 
 from daq import InputError
 from experiments.exchange.column_map import ANY
-from experiments.exchange.guess_chain import of_joints
-from experiments.exchange.guess_names import kind_of, measured_columns, says
+from experiments.exchange.guess_names import kind_of, measured_columns, of_joints, says
 from experiments.exchange.guess_servo import commands_of
 from experiments.exchange.imported import ImportedFile
 

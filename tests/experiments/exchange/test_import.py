@@ -97,7 +97,7 @@ def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, shel
     files = [logged(run, knee=50.0 * q2 / (2.0 * np.pi)), logged(run, knee=q1 + q2), swapped, logged(run, **free)]
     for k, columns in enumerate(files):
         status, _, said = guessed(columns, tmp_path / str(k), shell)
-        assert status == 1 and "NOT KNOWN" in said and "inertias are positive" not in said, said
+        assert status == 1 and "NOT KNOWN" in said and "positive definite" not in said, said
         page = (tmp_path / str(k) / "m.html").read_text()
         assert 'data-tone="bad"' in page and page.index("NOT TO BE USED") < page.index("<table")
 
@@ -114,6 +114,17 @@ def test_units_by_physics_where_names_are_silent_or_wrong(run: Dataset, tmp_path
         other = found["gyro_radps"] if "gyro_radps" in found else found["q1_rad"]
         assert status == 0 and (found["q2_rad"].unit, other.unit) == units, said[k]
     assert "N m per A of 'iq_A'" in said[1] and "says rad, but in deg" in said[2]
+
+
+def test_a_pivot_s_zero_does_not_keep_a_leg_from_being_read(run: Dataset, tmp_path: Path, shell: Shell) -> None:
+    """An IMU that is turned by a few degrees, and an encoder whose zero is not where the leg hangs."""
+    x, y = run["accel_x_mps2"], run["accel_y_mps2"]
+    turned = {"ax": np.cos(0.06) * x - np.sin(0.06) * y, "ay": np.sin(0.06) * x + np.cos(0.06) * y}
+    hip = {"t": run.time_s, "hip": run["q1_rad"] + 0.4, "knee": -run["q2_rad"], "torque": run["tau2_nm"]}
+    for k, (columns, sign) in enumerate([(logged(run, **turned), 1), (hip, -1)]):
+        status, found, said = guessed(columns, tmp_path / str(k), shell)
+        assert status == 0 and (found["q2_rad"].unit, found["q2_rad"].sign) == ("", sign), said
+    assert re.search(r"joint 1 hangs at 0\.[34]\d rad", said), said
 
 
 def test_gaps_and_a_second_angle_do_not_mislead(run: Dataset, tmp_path: Path,
