@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq import BoolArray, FloatArray, IndexArray
-from estimator.effects import Effect, library
+from daq import BoolArray
+from estimator.effects import library
 from estimator.likelihood import Candidate, LatentProblem, Stage, State
 from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
 from estimator.score import ALPHA, RunScores, columns_of, project
@@ -57,26 +57,24 @@ def omitted_effects(result: FitResult, scores: RunScores, free: BoolArray, candi
     if not scores.scores or not candidates or not free[: len(result.beta)].any():
         return ()
     taken = np.flatnonzero(free)
-    sizes = free.size + np.arange(sum(one.width for one in candidates))
-    tests = project(scores.of(np.concatenate([taken, sizes])).scores, taken.size)
+    columns = free.size + np.arange(sum(one.width for one in candidates))
+    tests = project(scores.of(np.concatenate([taken, columns])).scores, taken.size)
     effects = [(one.effect, columns) for one, columns in zip(candidates, columns_of(candidates))]
     # the size of a gear's inner friction alone is no elastic gear: what defines an effect is tested
-    tried = [(effect, k) for effect, columns in effects for size, k in enumerate(map(int, columns[: effect.defining]))
-             if effect.distinguishing_size in (None, size) and tests.information[k, k] > 0.0]
+    tried = [(effect, which, k) for effect, columns in effects
+             for which, k in enumerate(map(int, columns[: effect.defining]))
+             if effect.distinguishing_size in (None, which) and tests.information[k, k] > 0.0]
     inside = taken < len(result.beta)
+    half = result.shown_half_width[taken[inside]]
     found = []
-    for effect, k in tried:
+    for effect, which, k in tried:
         p_value = tests.p_value(np.array([k])) * len(tried)
-        if p_value < ALPHA:
-            change = -tests.carry[inside, k] * float(tests.size(np.array([k]))[0])
-            found.append(_omitted(effect, p_value, change, result, taken[inside]))
-    return tuple(sorted((one for one in found if one.half_widths > MOST_DISAGREEMENT), key=lambda one: one.p_value))
-
-
-def _omitted(effect: Effect, p_value: float, change: FloatArray, result: FitResult, free: IndexArray
-             ) -> OmittedEffect:
-    """With the parameter that it moves furthest."""
-    half = result.shown_half_width[free]
-    moved = np.where(half > 0.0, np.abs(change) / np.where(half > 0.0, half, 1.0), 0.0)
-    k = int(np.argmax(moved))
-    return OmittedEffect(effect.key, p_value, result.mechanism.names[free[k]], float(moved[k]))
+        step = float(tests.size(np.array([k]))[0])
+        sizes = np.append(step * (np.arange(len(effect.sizes)) == which), effect.usual or ())
+        moved = np.abs(step * tests.carry[inside, k]) / np.where(half > 0.0, half, np.inf)
+        first = int(np.argmax(moved))
+        # a gain is a factor of all parameters: its score says but that less of everything leaves less, a size below -1
+        if p_value < ALPHA and moved[first] > MOST_DISAGREEMENT and effect.possible(sizes):
+            name = result.mechanism.names[taken[first]]
+            found.append(OmittedEffect(effect.key, p_value, name, float(moved[first])))
+    return tuple(sorted(found, key=lambda one: one.p_value))
