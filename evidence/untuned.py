@@ -194,7 +194,7 @@ def page(only: Sequence[str] = tuple(RECORDS)) -> Lines:
     rows = [judged(case) for case in cases()]
     yield from [
         "# Real records without a specialist",
-        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing else. "
+        "A rig.toml holds mechanism, driven joints, gear and gravity, nothing else."
         " Every figure is of one command without an option.",
         "## Departure from what is published [%]",
         "beta1, beta2, ... in the mechanism's order. Before: a fit that chooses nothing. `fit`: with its own "
