@@ -22,8 +22,8 @@ from estimator.signals import Channel
 
 Sized = Sequence[tuple[Effect, FloatArray]]
 """Effects, each with its sizes and shapes."""
-PASSES = 3
-"""Evaluations of the effects at the samples: of a rotor a tenth of the link's inertia they leave a thousandth."""
+LEAST_FALL = 0.01
+"""Share of an effect's torque by which it falls in such a step, below which the link has no inertia left."""
 SIZE_STEP = 0.1
 """Step of a central difference by a size, as a share of the size's scale."""
 SHAPE_STEP, LEAST_SHAPE_STEP = 1e-3, 1e-9
@@ -37,16 +37,23 @@ def acting(pairs: Sized, free: View, inverse: FloatArray
     `free` is the view without their torques, `inverse` (n, n, N) that of the inertia matrix at the samples.
     """
     torque, at_samples, readings = added(pairs, free)
-    view = free
-    if at_samples.any():
-        for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
-            view, before = braked(free, inverse, at_samples), at_samples
+    view, first = free, at_samples
+    if first.any():
+        view = braked(free, inverse, first)
+        torque, at_samples, readings = added(pairs, view)
+        if not np.array_equal(first, at_samples):  # what an effect takes changes the acceleration it feels
+            view = braked(free, inverse, fixed_point(first, at_samples))
             torque, at_samples, readings = added(pairs, view)
-            if np.array_equal(before, at_samples):
-                break
-        else:
-            view = braked(free, inverse, at_samples)
     return view, torque, at_samples, readings
+
+
+def fixed_point(first: FloatArray, second: FloatArray) -> FloatArray:
+    """x = F(x) (n, N) by F(0) and F(F(0)): Aitken's step, exact of a joint whose torque is linear in its acceleration.
+
+    F itself only contracts for a rotor of less than its link's inertia.
+    """
+    fall = 2.0 * first - second
+    return np.divide(first**2, fall, out=second.copy(), where=np.abs(fall) > LEAST_FALL * np.abs(first))
 
 
 def derivatives_of(pairs: Sized, candidates: Sequence[Candidate], view: View) -> list[Perturbation]:
@@ -60,15 +67,13 @@ def columns_of(derivatives: Sequence[Perturbation], view: View
     """Columns at Gauss points (k, n, 2, K) and at samples (k, n, N), whether each acts at a joint (k, n), and columns
     of the readings."""
     k, n = len(derivatives), len(view.samples.q)
-    at_gauss, at_samples = np.empty((k, *view.gauss.q.shape)), np.empty((k, *view.samples.q.shape))
+    at_gauss, at_samples = (np.zeros((k, *at.q.shape)) for at in (view.gauss, view.samples))
     acts = np.zeros((k, n), dtype=bool)
     rows: dict[Channel, list[int]] = {}
     for i, d in enumerate(derivatives):
         if d.torque is not None and d.torque_at_samples is not None:
             at_gauss[i], at_samples[i] = d.torque, d.torque_at_samples
             acts[i] = d.torque.any(axis=(1, 2))
-        else:
-            at_gauss[i], at_samples[i] = 0.0, 0.0
         for channel in d.readings:
             rows.setdefault(channel, []).append(i)
     readings = {channel: ReadingColumns(np.array(which), np.stack([derivatives[i].readings[channel] for i in which]))
@@ -138,30 +143,23 @@ def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:
     """Derivative by each size and shape, central differences."""
     steps = [s.scale * SIZE_STEP for s in effect.sizes]
     steps += [SHAPE_STEP * abs(v) + LEAST_SHAPE_STEP for v in size[len(effect.sizes) :]]
-    effect, out = effect.about(size), []
-    for i, h in enumerate(steps):
-        up, down = size.copy(), size.copy()
-        up[i] += h
-        down[i] -= h
-        out.append(_difference(effect.perturb(view, up), effect.perturb(view, down), 2.0 * h))
-    return out
+    effect = effect.about(size)
+    return [_difference(effect.perturb(view, size + at), effect.perturb(view, size - at), 2.0 * h)
+            for at, h in zip(np.diag(steps), steps)]
 
 
 def slopes_at_zero(candidate: Candidate, view: View) -> list[Perturbation]:
     """Derivative by each size at zero, at the candidate's shape."""
-    effect, out = candidate.effect, []
-    effect = effect.about(np.array([0.0] * len(effect.sizes) + list(candidate.shape)))
-    for i, s in enumerate(effect.sizes):
-        size = np.array([0.0] * len(effect.sizes) + list(candidate.shape))
-        size[i] = s.scale
-        out.append(_difference(effect.perturb(view, size), None, s.scale))
-    return out
+    scales = [s.scale for s in candidate.effect.sizes]
+    blank = np.append(np.zeros(len(scales)), candidate.shape)
+    effect = candidate.effect.about(blank)
+    return [_difference(effect.perturb(view, blank + at), Perturbation(), h)
+            for at, h in zip(np.diag(np.append(scales, 0.0 * blank[len(scales) :])), scales)]
 
 
-def _difference(a: Perturbation, b: Perturbation | None, by: float) -> Perturbation:
+def _difference(a: Perturbation, b: Perturbation, by: float) -> Perturbation:
     def part(x: FloatArray | None, y: FloatArray | None) -> FloatArray | None:
-        return None if x is None else (x - y if y is not None else x) / by
+        return None if x is None else (x - (0.0 if y is None else y)) / by
 
-    readings = {k: (v - (b.readings[k] if b is not None else 0.0)) / by for k, v in a.readings.items()}
-    return Perturbation(part(a.torque, b.torque if b else None),
-                        part(a.torque_at_samples, b.torque_at_samples if b else None), readings)
+    readings = {k: (v - b.readings.get(k, 0.0)) / by for k, v in a.readings.items()}
+    return Perturbation(part(a.torque, b.torque), part(a.torque_at_samples, b.torque_at_samples), readings)

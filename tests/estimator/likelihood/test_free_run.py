@@ -28,6 +28,7 @@ from estimator.likelihood import (
     free_run,
     pieces,
 )
+from estimator.likelihood.effect_columns import acting
 from estimator.likelihood.free_run import _Plant
 from estimator.model import Mechanism, joint1, leg2
 from estimator.signals import SignalSet, torque_of
@@ -68,6 +69,20 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
             for beta, effects in (([0.02, 0.1, 0.03, 0.05, 0.06], [RotorInertia(0)]), ([0.08, 0.1, 0.03, 0.05], []))]
     assert np.ptp(runs[0].q) > 1.0
     assert runs[0].q == approx(runs[1].q, abs=1e-7)
+
+
+def test_an_accelerometer_feels_a_rotor_heavier_than_its_link() -> None:
+    """(M + J e2 e2^T) qdd = M qdd without it; its own torque at its own acceleration grows where J is above what M
+    leaves of joint 2."""
+    torque = knee_sine(100, 0.8, 0.1)
+    problem, rotor = problem_of(LEG, torque, [RotorInertia(1)]), np.array([0.05])
+    x = Latents(0.8 * default_rng(1).normal(size=(100, 2)), default_rng(2).normal(size=(100, 2)), torque)
+    free, inverse = problem._free(x, np.append(BETA, rotor))
+    view, _, at_samples, _ = acting([(problem.effects[0], rotor)], free, inverse)
+    inertia = LEG.inertia_matrix(x.q, BETA)
+    expected = np.linalg.solve(inertia + np.diag([0.0, 0.05]), inertia @ free.samples.a.T[:, :, None])[:, :, 0]
+    assert (0.05 * inverse[1, 1]).min() > 1.0
+    assert approx(expected, rel=1e-9) == view.samples.a.T and at_samples[1] == approx(0.05 * expected[:, 1], rel=1e-9)
 
 
 @mark.parametrize("displacement", [0.002, 0.03])
