@@ -30,7 +30,7 @@ def write_pages(folder: Path) -> None:
 
 def commands_page() -> str:
     """`--help` of every command."""
-    from experiments.cli.main import build_parser
+    from legid.cli.main import build_parser
 
     parser = build_parser()
     (subparsers,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))

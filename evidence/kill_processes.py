@@ -17,8 +17,8 @@ import numpy as np
 from daq import load_rig
 from daq.runs import RunWriter
 from drivers import DriverError, lsm9ds1_registers, open_bus, read_registers
-from experiments.cli import main as legid
 from experiments.rig.devices import connect
+from legid.cli import main as legid
 from tests.support.paths import ROOT
 
 PATIENCE_S = 20.0
@@ -29,7 +29,7 @@ COUNTS = struct.Struct("<QQ")
 @contextmanager
 def served_rig(folder: Path) -> Iterator[Path]:
     """The rig file of an emulated rig in a process of its own."""
-    rig = subprocess.Popen([sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--until-eof"],
+    rig = subprocess.Popen([sys.executable, "-m", "legid.cli", "emulate", "--out", str(folder), "--until-eof"],
                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
     assert rig.stdin is not None and rig.stdout is not None
     try:

@@ -30,7 +30,7 @@ from evidence.frame import Lines, heard, new_folder, program, table, tell, withi
 from evidence.kept import kept
 from evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch
 from evidence.registry import Evidence
-from experiments.cli import main as legid
+from legid.cli import main as legid
 from tests.support.processes import favoured
 from tests.support.recordings import sine
 from tests.support.runs import load_run

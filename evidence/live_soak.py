@@ -185,7 +185,7 @@ def _measured(folder: Path, minutes: float, count: int, seed: int) -> Iterator[s
             rng = np.random.default_rng(seed)
             presses = [press_once(browser, here, rng, k % 4 == 3) for k in range(count)]
             outgoing, complaints, asked = browser.outgoing(), browser.complaints(), len(browser.requests)
-        subprocess.run([sys.executable, "-m", "experiments.cli", "record", "--rig", rig_path, "--plan",
+        subprocess.run([sys.executable, "-m", "legid.cli", "record", "--rig", rig_path, "--plan",
                         folder / "alone" / "alone.csv", "--out", folder / "alone.mcap"], cwd=ROOT, check=True,
                        stdout=subprocess.DEVNULL)
         with served(rig_path, folder, "soak") as live, open_page(live, network=False) as browser:

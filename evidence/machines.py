@@ -57,7 +57,7 @@ def typed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """The command, with all its processes stopped after `LIMIT_S`."""
     words = [file for word in shlex.split(command)[1:] for file in (
         sorted(str(one.relative_to(folder)) for one in folder.glob(word)) if "*" in word else [word])]
-    done = subprocess.run(["/usr/bin/timeout", str(LIMIT_S), sys.executable, "-m", "experiments.cli", *words],
+    done = subprocess.run(["/usr/bin/timeout", str(LIMIT_S), sys.executable, "-m", "legid.cli", *words],
                           cwd=folder, capture_output=True, text=True,
                           env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"})
     if done.returncode == STOPPED:

@@ -13,9 +13,9 @@ from msgspec import structs
 from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.cli import main as legid
 from experiments.models import Model, load_model, save_model
 from experiments.simulators import ExportedLeg, draw_models, write_samples
+from legid.cli import main as legid
 from tests.support.exported_models import EFFECTS, OPPOSITE, PAIRS, angle_error, model_of
 from tests.support.paths import REAL
 

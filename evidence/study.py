@@ -6,7 +6,7 @@
 from collections.abc import Sequence
 
 from evidence.registry import Evidence
-from experiments import cli
+from legid import cli
 
 EVIDENCE = Evidence(
     "Table III of the paper: error of a simulated step by method and noise",

@@ -16,9 +16,9 @@ from estimator import fit
 from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments import cli
 from experiments.session import load_runs, setup_of, with_choices
 from experiments.workflows import fit_runs, tune_runs
+from legid import cli
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.paths import REAL
 

@@ -22,7 +22,7 @@ from estimator.signals import find_touchdowns
 from evidence.frame import Lines, heard, new_folder, program, table
 from evidence.kept import kept
 from evidence.registry import Evidence
-from experiments.cli.main import main as legid
+from legid.cli.main import main as legid
 from tests.support.cramer_rao import fisher_information, inverse_information
 from tests.support.walker_plant import (
     Gait,

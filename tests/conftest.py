@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from tests.support.shell import Shell
+    from tests.support.shell import Answers, Shell
 
 HERE = Path(__file__).parent
 UNKNOWN: set[str] = set()
@@ -56,6 +56,32 @@ def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
     from tests.support.shell import Shell
 
     return Shell(capsys)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own, which is the current one: a command names its files as a user does."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
+    """Says what is answered at a terminal; the questions asked are in the list returned."""
+    def give(*texts: str) -> list[str]:
+        rest, asked = iter(texts), []
+
+        def answer(question: str = "") -> str:
+            asked.append(question)
+            for text in rest:
+                return text
+            raise EOFError
+
+        monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+        monkeypatch.setattr("builtins.input", answer)
+        return asked
+
+    return give
 
 
 @pytest.fixture(scope="module")

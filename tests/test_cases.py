@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli import main
 from experiments.exchange.column_map import load_map
+from legid.cli import main
 from tests.support.paths import CASES
 from tests.support.shell import Shell, document, typed
 

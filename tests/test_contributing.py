@@ -22,7 +22,7 @@ FILES = re.findall(r"^`(\w+/\S+\.py)`:\n\n```python\n(.*?)^```",
 def house(module_path: Path) -> Path:
     """The packages and what tests share, with the files of CONTRIBUTING.md."""
     assert [Path(name).parent.as_posix() for name, _ in FILES] == [
-        "estimator/effects", "estimator/model", "drivers", "drivers", "experiments/cli/commands"]
+        "estimator/effects", "estimator/model", "drivers", "drivers", "legid/cli/commands"]
     for name in (*PACKAGES, *TESTS):
         shutil.copytree(ROOT / name, module_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", module_path)

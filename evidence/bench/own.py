@@ -93,7 +93,7 @@ def typed(recorded: Recorded) -> float:
         found = np.inf
         for _ in range(5):
             clock, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run([sys.executable, "-m", "experiments.cli", "fit", str(run), "--rig", str(rig)], check=True,
+            subprocess.run([sys.executable, "-m", "legid.cli", "fit", str(run), "--rig", str(rig)], check=True,
                            capture_output=True)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

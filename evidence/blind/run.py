@@ -13,7 +13,7 @@ from typing import Any
 from evidence.blind.plan import PlannedCase
 
 LIMIT_S = 900.0
-COMMAND = (sys.executable, "-m", "experiments.cli")
+COMMAND = (sys.executable, "-m", "legid.cli")
 # The command itself can leave no effect out, nor should it: a process of the bench takes one from the library first.
 WITHOUT = """
 import sys
@@ -24,7 +24,7 @@ left = tuple(kind for kind in every if kind.name != gone)
 if len(left) != len(every) - 1:
     sys.exit(f"the library has no effect {gone} to leave out")
 registry.library_classes = lambda: left
-from experiments.cli import main
+from legid.cli import main
 sys.exit(main())
 """
 

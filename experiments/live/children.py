@@ -19,7 +19,7 @@ def command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """(arguments, environment) of `legid ARGUMENTS` as a process: it imports nothing from the folder it is started
     in, which may be anybody's."""
     path = os.pathsep.join([str(ROOT), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))])
-    return ([sys.executable, "-P", "-m", "experiments.cli", *arguments],
+    return ([sys.executable, "-P", "-m", "legid.cli", *arguments],
             os.environ | SAFE_PATH | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"})
 
 

@@ -99,7 +99,7 @@ def test_a_full_disk_leaves_what_is_there_whole_and_no_half_a_file(command: str,
     (tmp_path / "plan.csv").write_text("time_s,tau2_cmd_nm\n0.0,0.1\n0.5,0.1\n")
     write_off(tmp_path / "still.mcap")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    done = subprocess.run([sys.executable, "-m", "experiments.cli", *command.split()], cwd=tmp_path, text=True,
+    done = subprocess.run([sys.executable, "-m", "legid.cli", *command.split()], cwd=tmp_path, text=True,
                           check=False, capture_output=True,
                           env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
                           preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))

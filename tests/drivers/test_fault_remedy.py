@@ -5,7 +5,7 @@ import pytest
 from drivers import fault_remedy
 from drivers.fault_remedy import CLEAR
 from drivers.protocol import ESTOP_OPEN, Fault
-from experiments.cli.main import build_parser
+from legid.cli.main import build_parser
 
 
 @pytest.mark.parametrize("fault", Fault)

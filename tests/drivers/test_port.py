@@ -15,8 +15,8 @@ from drivers import LegController, Message, State
 from drivers.mock import I2cServer, MockRig, RealClock
 from drivers.protocol import Arm, DriveLimits, Fault, LimitsRequest, Stop
 from drivers.serial_link import SerialLink
-from experiments import cli
 from experiments.excite import random_multisine
+from legid import cli
 from tests.support.c_firmware import SOURCES
 from tests.support.qemu_board import CC, HANG, RETURN, STRICT, Board, needs, returns
 from tests.support.still_plant import StillPlant

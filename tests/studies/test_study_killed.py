@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from numpy.testing import assert_array_equal
 
-from experiments.cli import main
 from experiments.workflows.executor import SerialExecutor
+from legid.cli import main
 from studies.biped3 import CASES, FLOOR, blocks, run_study, store
 from studies.biped3.study import run_block
 from tests.support.processes import REAL_CLOCK, of_session, start_python, until
@@ -26,7 +26,7 @@ def command(out: Path, *more: str) -> list[str]:
 @pytest.mark.slow
 def test_kill_9_half_way_loses_nothing(tmp_path: Path) -> None:
     out, kept = tmp_path / "study", tmp_path / "study" / "blocks"
-    process = start_python("-m", "experiments.cli", *command(out, "--workers", "2"))
+    process = start_python("-m", "legid.cli", *command(out, "--workers", "2"))
     deadline = time.monotonic() + 120.0
     while len(list(kept.glob("*.npz"))) < 4:
         assert time.monotonic() < deadline

@@ -12,8 +12,8 @@ from typing import Any
 
 from msgspec import ValidationError
 
-from experiments.cli import main
 from experiments.live import bench, children, page, session
+from legid.cli import main
 
 ENTRY = "LEGID_FAILING"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -162,7 +162,7 @@ class Browser:
 class Live:
     """`legid live` as a process of its own."""
 
-    def __init__(self, *arguments: str, module: str = "experiments.cli") -> None:
+    def __init__(self, *arguments: str, module: str = "legid.cli") -> None:
         with favoured():
             self.child = subprocess.Popen(
                 [sys.executable, "-m", module, "live", *arguments, "--port", "0"], cwd=ROOT,

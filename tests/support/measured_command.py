@@ -39,7 +39,7 @@ class Measured(NamedTuple):
 def measured(words: Sequence[str], folder: Path) -> Measured:
     """`legid WORDS` in `folder`, ended after MOST_S."""
     told = folder / "used.json"
-    done = subprocess.run([sys.executable, "-c", WATCH, str(told), sys.executable, "-P", "-m", "experiments.cli",
+    done = subprocess.run([sys.executable, "-c", WATCH, str(told), sys.executable, "-P", "-m", "legid.cli",
                            *words], cwd=folder, capture_output=True, text=True, errors="replace", check=False,
                           env=os.environ | {"PYTHONPATH": str(ROOT)})
     status, seconds, megabytes = json.loads(told.read_text())

@@ -18,7 +18,7 @@ from daq.runs import read_run
 from drivers import Message, State, Telemetry, describe_faults
 from drivers.protocol import Arm, ClearFaults, Stop, TimedCommand, TorqueCommand, encode
 from evidence.kill_processes import start
-from experiments.cli import main as legid
+from legid.cli import main as legid
 from tests.support.fault_bench import DRIVING_AT_S, PEAK_NM, RAMP_AT_S, STOPPING_AFTER_S, SWING_HZ
 from tests.support.port_line import Line
 from tests.support.qemu_board import Board, ahead

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments import cli
+from legid import cli
 
 Answers = Callable[..., list[str]]
 

@@ -20,7 +20,7 @@ KEPT = (
     "estimator/diagnosis/test_procedure.py::test_both_hidden_causes_are_the_answer_and_each_is_needed",
     "estimator/change/test_detect.py::test_a_changed_reading_is_named_with_its_size[gyro_scale",
     "experiments/workflows/test_tune.py::test_what_is_chosen_is_told_and_written",
-    "experiments/cli/test_against_cli.py::test_a_model_is_as_good_a_reference_as_its_runs",
+    "legid/cli/test_against_cli.py::test_a_model_is_as_good_a_reference_as_its_runs",
     "daq/recording/test_safety.py::",
     "test_cases.py::",
 )

@@ -49,7 +49,7 @@ def run_blocks(some: list[Block], folder: Path) -> Iterator[str]:
     """
     shims = folder.parent / "bin"
     shims.mkdir()
-    for name, what in (("legid", f'"{sys.executable}" -m experiments.cli'), ("python", f'"{sys.executable}"')):
+    for name, what in (("legid", f'"{sys.executable}" -m legid.cli'), ("python", f'"{sys.executable}"')):
         (shims / name).write_text(f'#!/bin/sh\nexec {what} "$@"\n')
         (shims / name).chmod(0o755)
     (folder.parent / "docs").symlink_to(ROOT / "docs")

@@ -12,7 +12,7 @@ from daq.runs import read_run
 from drivers import State
 from drivers.can_codec import CanCodec
 from drivers.mock import CanServer, MockRig
-from experiments.cli import main
+from legid.cli import main
 from tests.support.processes import REAL_CLOCK
 from tests.support.shell import Shell
 from tests.support.still_plant import StillPlant

@@ -37,7 +37,7 @@ CRASH = """
 import sys
 from drivers.leg_controller import LegController
 from {module} import {cls}
-from experiments.cli import main
+from legid.cli import main
 command, work, sent = LegController.command, {cls}.{method}, []
 
 def note(self, torque_nm):
@@ -69,7 +69,7 @@ class Recording:
         rig, plan, t = folder / "rig.toml", folder / "plan.csv", np.arange(0.0, 60.0, 0.01)
         rig.write_text(RIG.format(port=firmware.path, watchdog_ms=watchdog_ms) + limits)
         write_plan(Plan(t, 0.3 + 0.1 * np.sin(20 * t)), plan)
-        start = ["-c", program] if program else ["-m", "experiments.cli"]
+        start = ["-c", program] if program else ["-m", "legid.cli"]
         self.child = subprocess.Popen(
             [sys.executable, *start, "record", "--rig", rig, "--plan", plan, "--out", self.run], cwd=ROOT,
             stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)

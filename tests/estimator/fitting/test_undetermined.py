@@ -15,7 +15,7 @@ from estimator.fitting import weighted_least_squares
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import name_directions, undetermined
 from estimator.model import leg2
-from experiments.cli import main
+from legid.cli import main
 from tests.support.mujoco_leg import Leg, record
 from tests.support.prescribed import BETA, arm_run
 from tests.support.shell import Shell

@@ -22,7 +22,7 @@ from estimator.prediction import (
     tabulate,
 )
 from estimator.signals import split_signals
-from experiments.cli.main import build_parser
+from legid.cli.main import build_parser
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, swing_run, written
 from tests.support.shell import Shell, document
 

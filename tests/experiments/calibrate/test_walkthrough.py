@@ -28,7 +28,7 @@ class Terminal:
 
     def __init__(self, *args: str) -> None:
         self.ours, theirs = pty.openpty()
-        self.process = subprocess.Popen([sys.executable, "-m", "experiments.cli", *args], cwd=ROOT, stdin=theirs,
+        self.process = subprocess.Popen([sys.executable, "-m", "legid.cli", *args], cwd=ROOT, stdin=theirs,
                                         stdout=theirs, stderr=theirs, close_fds=True)
         os.close(theirs)
         self.said, self.read_to = "", 0

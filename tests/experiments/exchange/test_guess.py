@@ -11,10 +11,10 @@ import pytest
 from scipy.io import savemat
 
 from daq.runs import read_csv
-from experiments.cli import main
 from experiments.exchange import apply_map, load_map, read_imported
 from experiments.exchange.guess_names import of_joints
 from experiments.models import load_model
+from legid.cli import main
 from tests.support.driven_joint import record
 from tests.support.imported_files import guess, imported, rows_of, table
 from tests.support.motions import pendulum

@@ -15,9 +15,9 @@ from scipy.io import savemat
 import legid
 from daq import Column, Dataset, InputError, parse_rig
 from daq.runs import write_csv
-from experiments.cli import main
 from experiments.exchange import apply_map, load_any_run, load_map, map_text, read_imported
 from experiments.exchange.delimited import read_delimited
+from legid.cli import main
 from tests.support.imported_files import guess, matlab, plotjuggler, ros2_bag, spreadsheet
 from tests.support.mujoco_leg import Leg, record
 from tests.support.shell import Shell, document, typed, values

@@ -9,11 +9,11 @@ from estimator import VERDICTS, Verdict
 from estimator.change import Change
 from estimator.diagnosis import Remainder
 from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
-from experiments.cli.main import build_parser
 from experiments.documents import DiagnosisDocument
 from experiments.judge import Files, next_of_change, next_step, with_names
 from experiments.judge.next_steps import RECORD, SENSORS, variable_of
 from experiments.reports import diagnosis_text
+from legid.cli.main import build_parser
 from tests.support.diagnoses import synthetic
 
 FILES = Files(("a.csv", "my run.csv"), "leg.toml", "ext.json", "d.json")

@@ -193,7 +193,7 @@ def test_a_bus_behind_a_socket_is_the_bus(tmp_path: Path) -> None:
 
 
 def test_the_emulated_rig_serves_until_it_is_told_to_end(tmp_path: Path) -> None:
-    child = subprocess.Popen([sys.executable, "-m", "experiments.cli", "emulate", "--out", tmp_path / "rig"], cwd=ROOT,
+    child = subprocess.Popen([sys.executable, "-m", "legid.cli", "emulate", "--out", tmp_path / "rig"], cwd=ROOT,
                              stdout=subprocess.PIPE, text=True)
     assert child.stdout.readline().startswith(str(tmp_path / "rig/rig.toml"))
     assert len(list((tmp_path / "rig").glob("plan*.csv"))) == 8

@@ -12,8 +12,8 @@ from daq import Dataset, parse_rig
 from estimator.fitting import next_measurement
 from estimator.fitting.next_measurement import INSTRUMENTS
 from estimator.model import joint1
-from experiments.cli import main
 from experiments.session import Setup, setup_of, suspect
+from legid.cli import main
 from tests.support.fits import synthetic_fit
 from tests.support.imported_files import table_of
 from tests.support.mujoco_leg import Leg, random_leg, record

@@ -1,5 +1,0 @@
-"""The `legid` command line."""
-
-from experiments.cli.main import TRACEBACK, main
-
-__all__ = ["TRACEBACK", "main"]

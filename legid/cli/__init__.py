@@ -1,0 +1,5 @@
+"""The `legid` command line."""
+
+from legid.cli.main import TRACEBACK, main
+
+__all__ = ["TRACEBACK", "main"]
