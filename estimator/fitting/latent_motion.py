@@ -15,7 +15,7 @@ from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.newton_step import Taken
 from estimator.fitting.noise_update import REST_STEPS
 from estimator.fitting.stopping import SmallFall
-from estimator.likelihood import LatentProblem, State, find_stiction
+from estimator.likelihood import LatentProblem, State, find_stiction, log_marginal
 
 CONVERGE_STEPS = 15
 """Most steps from the motion of a fit, whose noise levels still move and whose objective is compared."""
@@ -51,3 +51,11 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
     by = Policies(StictionAlone(), stop, FallDamping())
     found = descend(problem, replace(state, smoothing=None), held, by, limit + 1)
     return replace(state, x=stop.best, noise=found.noise)
+
+
+def marginal_of(problem: LatentProblem, state: State) -> float:
+    """`log_marginal` at the likeliest motion. Raises `FitError`.
+
+    A fit ends with its parameters, and its motion can be half way: -2 log p was then 490,000 too large.
+    """
+    return log_marginal(problem, converge_motion(problem, state))

@@ -13,7 +13,8 @@ from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, Mi
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
-from estimator.likelihood import LatentProblem, Stage, State, log_marginal
+from estimator.fitting.latent_motion import marginal_of
+from estimator.likelihood import LatentProblem, Stage, State
 from estimator.options import FitOptions
 from estimator.result import TWO_SIDED, LoopTerm
 from estimator.score import Score, robust_covariance
@@ -39,10 +40,10 @@ class Loops(NamedTuple):
 
     state: State
     """Without their sizes"""
+    whole: tuple[LatentProblem, State]
+    """With them"""
     extra: Extra = ()
     terms: tuple[LoopTerm, ...] = ()
-    value: float = np.inf
-    """-2 log likelihood"""
 
 
 class Fitted(NamedTuple):
@@ -73,7 +74,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     It stays as it was where a fit with them does not converge.
     """
     state = fitted.state
-    plain = Loops(state, value=-2.0 * log_marginal(fitted.problem, state))
+    plain = Loops(state, (fitted.problem, state))
     own = [(key, j, start) for key in KINDS if key in keys for j in fitted.problem.mechanism.followers
            if (start := _start(fitted, key, j)) is not None]
     if not own:
@@ -96,8 +97,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
                   state.iterations + again.iterations, misfit=again.misfit)
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
                   for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
-    return Loops(short, tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms,
-                 -2.0 * log_marginal(wide, again))
+    return Loops(short, (wide, again), tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms)
 
 
 def _believed(one: tuple[str, int, float], size: float) -> bool:
@@ -118,9 +118,7 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
         now = with_loop_terms(fitted, sure)
     if any(one.key == "limit" for one in now.terms):
         bare = with_loop_terms(fitted, sure, unlimited=True)
-        joints = [one.joint for one in now.terms if one.key == "limit"]
-        gained = [float(np.mean(np.log(each.state.noise.levels().torque[joints]))) for each in (bare, now)]
-        limited = not bare.extra or _is_shown(fitted, 2.0 * fitted.problem.total * (gained[0] - gained[1]))
+        limited = not bare.extra or _is_shown(now, bare)
     rest = [key for key in KINDS if key in fitted.options.unknown_loop and key not in sure]
     keys, told = list(sure), list[LoopTerm]()
     for key in rest:
@@ -128,7 +126,7 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
             continue
         tried = with_loop_terms(fitted, [*keys, key])
         own = [one for one in tried.terms if one.key == key]
-        shown = _is_shown(fitted, now.value - tried.value) and any(one.value > SURE * one.std for one in own)
+        shown = any(one.value > SURE * one.std for one in own) and _is_shown(tried, now)
         told += [] if shown else [replace(one, found=False) for one in own]
         if shown:
             now, keys = tried, [*keys, key]
@@ -137,9 +135,10 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
     return (*sized, *told)
 
 
-def _is_shown(fitted: Fitted, fall: float) -> bool:
-    """Whether a value makes -2 log likelihood fall by more than chance, and by a material share."""
-    return fall > max(LEAST_GAIN * fitted.problem.total, SURE**2)
+def _is_shown(larger: Loops, smaller: Loops) -> bool:
+    """Whether -2 log p falls by more than chance, and by a material share."""
+    fall = 2.0 * (marginal_of(*larger.whole) - marginal_of(*smaller.whole))
+    return fall > max(LEAST_GAIN * larger.whole[0].total, SURE**2)
 
 
 def scattered(terms: Sequence[LoopTerm], scores: Sequence[Score]) -> tuple[LoopTerm, ...]:

@@ -31,7 +31,7 @@ from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.latent_motion import converge_motion
+from estimator.fitting.latent_motion import converge_motion, marginal_of
 from estimator.fitting.loop_terms import Extra, Fitted, extended, scattered, with_loop_terms
 from estimator.fitting.motion_search import search_hold, without_age
 from estimator.fitting.noise_levels import (
@@ -52,7 +52,7 @@ from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
 from estimator.fitting.wls import free_mask
 from estimator.free_runs import FittedModel
-from estimator.likelihood import LatentProblem, State, log_marginal
+from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, LeftOut, Trajectory
@@ -149,9 +149,9 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: Boo
     try:
         both = [iterate(problem, begin, free, each, floors, CONFLICT_STEPS)
                 for each in (options, replace(options, prior={}))]
+        known, alone = (-2.0 * marginal_of(problem, s) for s in both)
     except FitError:
         return 0.0
-    known, alone = (-2.0 * log_marginal(problem, s) for s in both)
     fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
     own = state.covariance.diagonal()[: result.mechanism.p]
     scatter = without_tolerances(result)[1].diagonal() / np.maximum(own, 1e-300)

@@ -21,8 +21,8 @@ from daq import BoolArray
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.latent_motion import converge_motion
-from estimator.likelihood import LatentProblem, Noise, State, log_marginal
+from estimator.fitting.latent_motion import marginal_of
+from estimator.likelihood import LatentProblem, Noise, State
 from estimator.options import FitOptions
 
 MOVES = 0.85
@@ -43,7 +43,7 @@ def with_unseen_torque(problem: LatentProblem, state: State, free: BoolArray, op
     begin = replace(state, noise=replace(state.noise, unseen=unseen))
     try:
         found = descend(problem, begin, free, Policies.of(options, floors, levels_by_run=True))
-        with_, without = (log_marginal(problem, converge_motion(problem, one)) for one in (found, state))
+        with_, without = (marginal_of(problem, one) for one in (found, state))
     except FIT_ERRORS:
         return state
     likelier = with_ > without + 0.5 * len(joints) * np.log(problem.total)
