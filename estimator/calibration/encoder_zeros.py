@@ -188,7 +188,8 @@ def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     free, start = free_mask(mechanism, options)
     if beta is not None:
         free, start = np.zeros_like(free), beta
-    spread = np.eye(count) if common or beta is not None else _centred(count)
+    # orthonormal columns of sum zero
+    spread = np.eye(count) if common or beta is not None else np.linalg.qr(np.eye(count) - 1.0 / count)[0][:, :-1]
     values = np.zeros((count, width))
     if not spread.size:  # one run says nothing of a difference between runs
         return Zeros(tuple(joints), values, values)
@@ -233,11 +234,6 @@ def zeros_text(datasets: Sequence[Dataset], zeros: Zeros) -> str:
               for j, own, spread in zip(zeros.joints, zeros.values.T, zeros.std.T)]
     every = ", another in every run," if len(datasets) > 1 else ""
     return f"encoders' zeros{every} are taken off [1e-3 rad or m]; {'; '.join(tables)}"
-
-
-def _centred(count: int) -> FloatArray:
-    """(count, count - 1) orthonormal columns of sum zero."""
-    return np.asarray(np.linalg.qr(np.eye(count) - 1.0 / count)[0])[:, : count - 1]
 
 
 def _equations(run: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, beta: FloatArray,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -254,11 +254,8 @@ def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
-    return [replace(e, **_assessed(context, e)) if e.left is NO_TESTS else e for e in explanations]
-
-
-def _assessed(context: DiagnosisContext, e: Explanation) -> dict[str, Any]:
-    return context.once("assessed", e.model, lambda: assessed(context, e))
+    return [replace(e, **context.once("assessed", e.model, partial(assessed, context, e))) if e.left is NO_TESTS else e
+            for e in explanations]
 
 
 def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:

@@ -78,10 +78,9 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     signals = split_signals(datasets, mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     moved, age_s = without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
-    found = _fit(moved, mechanism, options, bound_s, age_s) if age_s else None
-    if found is None:
-        found = _fit(signals, mechanism, options, bound_s)
-    assert found is not None
+    found = (_fit(moved, mechanism, options, bound_s, age_s) if age_s else None) or _fit(
+        signals, mechanism, options, bound_s)
+    assert found
     return found
 
 
@@ -107,8 +106,9 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
         return None
     if skew is not None:
         extra = ((SensorTimeSkew(), np.array([skew])),)
-    if state.converged and not extra:  # runs' scores, and so the intervals, hold at the likeliest motion alone
-        state = converge_motion(problem, state)
+    if state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
+        moved = converge_motion(*_with_extra(problem, state, signals, extra))
+        state = replace(state, x=moved.x, noise=moved.noise)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = replace(result, loop=loops.terms)
     if result.converged:  # else there is no optimum to ask at
@@ -195,16 +195,24 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
     return (problem, state, None) if cause is None else (*plain[:2], cause)
 
 
+def _with_extra(problem: LatentProblem, state: State, signals: list[SignalSet], extra: Extra
+                ) -> tuple[LatentProblem, State]:
+    """The fit with the terms that are none of its parameters."""
+    if not extra:
+        return problem, state
+    more = [size for _, size in extra]
+    return (extended(problem, signals, [effect for effect, _ in extra]),
+            replace(state, beta=np.concatenate([state.beta, *more])))
+
+
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
                  free: BoolArray, extra: Extra, options: FitOptions) -> FitResult:
     """`result` with all that one score of each run says.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
-    if extra:
-        problem = extended(problem, signals, [effect for effect, _ in extra])
-        more = np.concatenate([size for _, size in extra])
-        free, state = np.append(free, np.ones(more.size, dtype=bool)), replace(state, beta=np.append(state.beta, more))
+    problem, state = _with_extra(problem, state, signals, extra)
+    free = np.append(free, np.ones(state.beta.size - free.size, dtype=bool))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()
     every = small if options.tolerances is None else nuisance_candidates(problem, small, options.tolerances)

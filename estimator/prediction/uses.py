@@ -38,7 +38,7 @@ def uses_of(table: PredictionTable, driven: Sequence[int], model: int = 0) -> tu
     short = table.horizons_s.index(SHORT_S) if SHORT_S in table.horizons_s else -1
     uses = [enough[-1] if enough else found[short]]
     if driven:
-        uses.append(_feedforward(table, list(driven), model))
+        uses.append(measured_use("feedforward", *table.torques(model, list(driven)), table.run))
     return best_first(uses)
 
 
@@ -46,10 +46,6 @@ def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: F
     longest = min(one.longest_s for one in table.runs)
     return measured_use("simulation", table.by_block(horizon_s)[model] * weights, weights, table.run,
                         horizon_s if np.isfinite(horizon_s) else longest)
-
-
-def _feedforward(table: PredictionTable, driven: list[int], model: int) -> Use:
-    return measured_use("feedforward", *table.torques(model, driven), table.run)
 
 
 def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> PredictionTable | None:
