@@ -152,7 +152,7 @@ def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
     """A warning where the runner-up leaves little more than the first of `what`; else none."""
     if second.left >= CLEAR * first.left:
         return []
-    return [f"{whose} are a close call: {first}, leaves {100 * first.left:.0f} % of {what}, {second}, "
+    return [f"{whose} are a close call: ({first}) leaves {100 * first.left:.0f} % of {what}, ({second}) "
             f"{100 * second.left:.0f} %; look at the plot, and set them by hand if they are others"]
 
 
