@@ -38,10 +38,10 @@ POSES = 20
 """Instants at which the inertia matrix must be positive definite."""
 BLOCKS = 4
 """Parts of a single joint's record that must agree on the sign of the inertia."""
+TURNS = 4.0 * np.pi
+"""A joint that follows commands turns less far [rad]."""
 HANGS_RAD = 0.1
 """A zero of joint 1 further from hanging than this is reported."""
-Motion = tuple[FloatArray, FloatArray, FloatArray]
-"""q, qd and qdd, (N, n) each."""
 
 
 @dataclass(frozen=True)
@@ -80,28 +80,24 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
     driven = [j for j in range(n) if {f"tau{j + 1}_nm", f"q{j + 1}_cmd_rad"} & columns.keys()]
     mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
     names = [f"q{k + 1}_rad" for k in range(n)]
-    read = [smooth(raw[name], raw.rate_hz) for name in names[pose is not None :]]
-    q = np.stack([*([] if pose is None else [smooth(pose.q1, raw.rate_hz)]), *read], axis=-1)
-    qd = np.gradient(q, 1.0 / raw.rate_hz, axis=0)
-    if pose is not None:
-        qd[:, 0] = smooth(pose.rate, raw.rate_hz)
-    motion = q, qd, np.gradient(qd, 1.0 / raw.rate_hz, axis=0)
-    torque = np.zeros(q.shape)
-    for j in driven:
-        torque[:, j] = smooth(raw[f"tau{j + 1}_nm"], raw.rate_hz)
-    use = inside(raw, [name for name in (*names[pose is not None :], *(f"tau{j + 1}_nm" for j in driven))])
+    read, pushed = names[pose is not None :], [f"tau{j + 1}_nm" for j in driven]
+    motion = _motion(raw, read, pose)
+    torque = np.zeros(motion[0].shape)
+    for j, name in zip(driven, pushed):
+        torque[:, j] = smooth(raw[name], raw.rate_hz)
+    use = inside(raw, [*read, *pushed])
     rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
-    hip = Column(name="", unit="rad")
-    encoders = [columns[name] if name != "q1_rad" or pose is None else hip for name in names]
+    encoders = [columns[name] if name in read else Column(name="", unit="rad") for name in names]
     follows = any(name.endswith("_cmd_rad") for name in columns)
 
-    ways = ranked(_readings(mechanism, (q[rows], qd[rows], motion[2][rows]), torque[rows], driven, encoders,
-                            pose is None, follows))
+    # a command counts as its angle does, which is not taken off another
+    absolute = pose is None and not follows
+    ways = ranked(_readings(mechanism, motion[:, rows], torque[rows], driven, encoders, absolute, follows))
     first = ways[0]
-    z = regressor(mechanism, _moved(motion, first.angles))[:, driven[-1] if driven else 0]
+    z = regressor(mechanism, motion @ first.angles.T)[:, driven[-1] if driven else 0]
     made = z @ first.beta
     check = (first.works[-1] * torque[:, driven[-1]], made) if driven else (z[:, 0], z[:, 0] - made)
-    found = _found(ways, columns, [*zip(names, encoders)][pose is not None :], check)
+    found = _found(ways, columns, [(name, columns[name]) for name in read], check)
     parts = zip(*(np.array_split(x[rows], BLOCKS) for x in (z, check[0])))
     if n == 1 and driven and not found.unexplained and not follows and any(
             np.linalg.lstsq(one, push, rcond=None)[0][0] <= 0.0 for one, push in parts):
@@ -113,6 +109,16 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
         found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: set offset = {-tilt:.2f} under "
                               "[columns.q1_rad]")
     return found
+
+
+def _motion(raw: Dataset, read: Sequence[str], pose: Pose | None) -> FloatArray:
+    """(3, N, n) q, qd and qdd, smoothed: of joint 1 by `pose`, where there is one, of others by the angles `read`."""
+    angles = [*([] if pose is None else [pose.q1]), *(raw[name] for name in read)]
+    q = np.stack([smooth(x, raw.rate_hz) for x in angles], axis=-1)
+    qd = np.gradient(q, 1.0 / raw.rate_hz, axis=0)
+    if pose is not None:
+        qd[:, 0] = smooth(pose.rate, raw.rate_hz)
+    return np.stack([q, qd, np.gradient(qd, 1.0 / raw.rate_hz, axis=0)])
 
 
 def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], angles: Sequence[tuple[str, Column]],
@@ -166,12 +172,11 @@ def _found(ways: Sequence[_Reading], columns: Mapping[str, Column], angles: Sequ
     return Found(found, notes, warnings, [], check, left=first.left)
 
 
-def _readings(mechanism: Mechanism, motion: Motion, torque: FloatArray, driven: Sequence[int],
+def _readings(mechanism: Mechanism, motion: FloatArray, torque: FloatArray, driven: Sequence[int],
               angles: Sequence[Column], absolute: bool, follows: bool) -> Iterator[_Reading]:
     """Every unit and sign with what it leaves, and with `absolute` the angles against the world."""
     n = mechanism.n
-    spans = np.ptp(motion[0], axis=0)
-    usual = "deg" if spans.max() > MOST_SPAN else ""
+    usual = "deg" if np.ptp(motion[0], axis=0).max() > (TURNS if follows else MOST_SPAN) else ""
     own = [factor(angle.unit, "q1_rad", angle.name) for angle in angles]
     scales: dict[tuple[float, ...], tuple[tuple[str, ...], bool]] = {}
     for overrules, unit in product((False, True), TRIED["rad"]):
@@ -181,8 +186,8 @@ def _readings(mechanism: Mechanism, motion: Motion, torque: FloatArray, driven: 
     turns += [(SIGNS[:1] * n, np.eye(n) - np.eye(n, k=-1), True)] * (absolute and n > 1)
     for (factors, (units, overrules)), (signs, turn, less) in product(scales.items(), turns):
         read = turn * factors
-        z = regressor(mechanism, _moved(motion, read))
-        poses = (motion[0] @ read.T)[:: max(1, len(z) // POSES)]
+        moved = motion @ read.T
+        z, poses = regressor(mechanism, moved), moved[0, :: max(1, moved.shape[1] // POSES)]
         named = not (overrules or less) and all(angle.unit or unit == usual for angle, unit in zip(angles, units))
         for works, left, beta in _fits(z, torque, driven):
             possible = np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() > 0.0
@@ -190,12 +195,6 @@ def _readings(mechanism: Mechanism, motion: Motion, torque: FloatArray, driven: 
                 possible &= works == signs[-len(works) :]
             left = left if possible else max(left, 1.0)
             yield _Reading(left, named, units, overrules, less, signs, works, read, beta)
-
-
-def _moved(motion: Motion, angles: FloatArray) -> Motion:
-    """The motion of joints whose angles are `angles` (n, n) @ those that are read."""
-    q, qd, qdd = (x @ angles.T for x in motion)
-    return q, qd, qdd
 
 
 def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
@@ -219,8 +218,9 @@ def _fits(z: FloatArray, torque: FloatArray, driven: Sequence[int]
         yield works, float(np.sqrt(max(1.0 - right @ beta / power, 0.0))), beta
 
 
-def regressor(mechanism: Mechanism, motion: Motion) -> FloatArray:
-    """(N, n, p + links) of tau = Z beta + Z_g beta_g: the mechanism, then gravity with joint 1 a quarter turn ahead."""
+def regressor(mechanism: Mechanism, motion: FloatArray) -> FloatArray:
+    """(N, n, p + links) of tau = Z beta + Z_g beta_g by `motion` (3, N, n): the mechanism, then gravity with joint 1 a
+    quarter turn ahead."""
     z = mechanism.regressor(*motion)
     ahead, still = motion[0].copy(), np.zeros_like(motion[0])
     ahead[:, 0] += 0.5 * np.pi

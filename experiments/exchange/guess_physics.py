@@ -1,4 +1,4 @@
-"""Units and signs of a leg's signals by what they must add up to; `guess` says how."""
+"""Axes, units and signs of an IMU by what they must add up to, and what all guesses by physics share."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ NOT_SURE = "NOT SURE: "
 EXPLAINS = 0.5
 """What leaves a larger share is no explanation. Right units and signs leave 11 to 35 % of the torque of a moving leg
 (up to two thirds of one that hardly moves), an absolute angle for a relative one about 56 %, a motor's angle 81 %."""
-
-
 BRIDGED_S = 0.05
 """A longer gap is no straight line."""
 RING_S = 0.3
@@ -53,7 +51,7 @@ class Found(NamedTuple):
     """(n,) measured, and as physics makes it of the others."""
     pose: Pose | None = None
     left: float = 0.0
-    """The share of the torque that the knee's best unit and sign leaves."""
+    """The share of what is to be explained that the best reading leaves."""
 
 
 @dataclass(frozen=True)
