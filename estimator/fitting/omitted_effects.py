@@ -57,8 +57,8 @@ def omitted_effects(result: FitResult, scores: RunScores, free: BoolArray, candi
     if not scores.scores or not candidates or not free[: len(result.beta)].any():
         return ()
     taken = np.flatnonzero(free)
-    columns = free.size + np.arange(sum(one.width for one in candidates))
-    tests = project(scores.of(np.concatenate([taken, columns])).scores, taken.size)
+    further = free.size + np.arange(sum(one.width for one in candidates))
+    tests = project(scores.of(np.concatenate([taken, further])).scores, taken.size)
     effects = [(one.effect, columns) for one, columns in zip(candidates, columns_of(candidates))]
     # the size of a gear's inner friction alone is no elastic gear: what defines an effect is tested
     tried = [(effect, which, k) for effect, columns in effects
@@ -73,7 +73,7 @@ def omitted_effects(result: FitResult, scores: RunScores, free: BoolArray, candi
         sizes = np.append(step * (np.arange(len(effect.sizes)) == which), effect.usual or ())
         moved = np.abs(step * tests.carry[inside, k]) / np.where(half > 0.0, half, np.inf)
         first = int(np.argmax(moved))
-        # a gain is a factor of all parameters: its score says but that less of everything leaves less, a size below -1
+        # a gain scales all parameters: its score only says that less of everything leaves less, a size below -1
         if p_value < ALPHA and moved[first] > MOST_DISAGREEMENT and effect.possible(sizes):
             name = result.mechanism.names[taken[first]]
             found.append(OmittedEffect(effect.key, p_value, name, float(moved[first])))

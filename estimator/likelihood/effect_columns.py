@@ -23,7 +23,7 @@ from estimator.signals import Channel
 Sized = Sequence[tuple[Effect, FloatArray]]
 """Effects, each with its sizes and shapes."""
 LEAST_FALL = 0.01
-"""Share of an effect's torque by which it falls in such a step, below which the link has no inertia left."""
+"""Where `fixed_point` divides by less than this share of the torque, the link has next to no inertia left."""
 SIZE_STEP = 0.1
 """Step of a central difference by a size, as a share of the size's scale."""
 SHAPE_STEP, LEAST_SHAPE_STEP = 1e-3, 1e-9

@@ -140,7 +140,7 @@ def test_a_wrong_encoder_is_tried_in_place_of_a_disturbance() -> None:
 
 
 def test_a_stiff_servo_s_gain_is_not_called_missing() -> None:
-    """A gain is a factor of all parameters. Its score shows but that less of everything leaves less: a size of -2."""
+    """A gain scales all parameters. Its score only says that less of everything leaves less: a size of -2."""
     runs = [follow(draw(47).leg, 47_000 + k, gain=12.0, damping=0.07, seconds=8.0, faults=ServoFaults(delay_s=0.015),
                    name=f"r{k}") for k in range(4)]
     found = legid.fit(runs, parse_rig('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\ngain = 12.0\n'
