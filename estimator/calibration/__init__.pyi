@@ -1,8 +1,5 @@
+from .column_faults import ALIKE as ALIKE
 from .column_faults import MOST_LEFT as MOST_LEFT
-from .column_faults import MOST_SPAN as MOST_SPAN
-from .column_faults import Reading as Reading
-from .column_faults import Remedy as Remedy
-from .column_faults import as_it_is as as_it_is
 from .column_faults import find_remedies as find_remedies
 from .distance_meter import DistanceMeter as DistanceMeter
 from .distance_meter import angle_record as angle_record
@@ -20,6 +17,7 @@ from .imu_encoder import Found as Found
 from .imu_encoder import Segment as Segment
 from .imu_encoder import fit_imu as fit_imu
 from .imu_faults import ImuReading as ImuReading
+from .imu_faults import imu_readings as imu_readings
 from .imu_faults import read_imu as read_imu
 from .imu_faults import wrong_lever as wrong_lever
 from .imu_faults import wrong_scale as wrong_scale
@@ -31,6 +29,13 @@ from .lost_samples import find_lost as find_lost
 from .lost_samples import lost_text as lost_text
 from .lost_samples import without_loss as without_loss
 from .model_terms import needed_terms as needed_terms
+from .readings import LEAST_SPAN as LEAST_SPAN
+from .readings import MOST_SPAN as MOST_SPAN
+from .readings import Reading as Reading
+from .readings import Remedy as Remedy
+from .readings import as_it_is as as_it_is
+from .readings import filtered_motion as filtered_motion
+from .readings import read as read
 from .torque_constant import Holds as Holds
 from .torque_constant import TorqueConstant as TorqueConstant
 from .torque_constant import Weight as Weight
@@ -40,3 +45,4 @@ from .units import DEGREE as DEGREE
 from .units import TRIED as TRIED
 from .units import TURN as TURN
 from .units import G as G
+from .windows import CLEAR as CLEAR

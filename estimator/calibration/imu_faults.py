@@ -7,8 +7,9 @@ mirror image.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import product
 from typing import NamedTuple
 
@@ -79,13 +80,10 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     A link that `hangs` from a passive pivot feels gravity along -y most of the time; a driven one may stand.
     """
     unit = _accelerometer_unit(datasets, gravity)
-    read = [_as_read(data, hangs) for data in datasets]
     factors = [sign * f for f in (1.0, DEGREE, *_gyro_unit(datasets)) for sign in (1.0, -1.0)]
-    turned = {factor: _turned(read, factor) for factor in factors}
-    as_read = _judge(read, turned[1.0], np.eye(2), 1.0, lever_arm, hangs)
-    ways = [(unit * axes, factor) for axes, factor in product(_axes(), turned)]
+    ways = [(np.eye(2), 1.0), *((unit * axes, factor) for factor in dict.fromkeys(factors) for axes in _axes())]
     ways += [(np.diag(scales), 1.0) for scales in ((G, 1.0), (1.0, G))]  # one axis alone in g
-    found = [_judge(read, turned[factor], axes, factor, lever_arm, hangs) for axes, factor in ways]
+    as_read, *found = imu_readings(datasets, ways, lever_arm, hangs)
     found = [reading for reading in found if reading.left < np.inf]
     least = min((reading.left for reading in found), default=np.inf)
     if unit == 1.0 and as_read.left < CLEAR * least:
@@ -95,16 +93,21 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     return as_read, tuple(sorted((r for r in near if r.changes <= fewest + 1), key=lambda r: (r.changes, r.left)))
 
 
+def imu_readings(datasets: Sequence[Dataset], ways: Iterable[tuple[FloatArray, float]], lever_arm: float, hangs: bool
+                 ) -> list[ImuReading]:
+    """What the IMU shows of itself when read each of `ways`: axes (2, 2), and the gyro's factor."""
+    read = [_as_read(data, hangs) for data in datasets]
+    turned = cache(partial(_turned, read))
+    return [_judge(read, turned(factor), axes, factor, lever_arm, hangs) for axes, factor in ways]
+
+
 def wrong_scale(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hangs: bool = True) -> str:
     """A sentence where the accelerometer shows another size of the gyro's rate than it reads, else empty.
 
     Gravity turns in the link's frame by the rate's integral, so its direction shows the rate's scale.
     """
-    read = [_as_read(data, hangs) for data in datasets]
-
     def judged(log_factor: float) -> ImuReading:
-        factor = float(np.exp(log_factor))
-        return _judge(read, _turned(read, factor), np.eye(2), factor, lever_arm, hangs)
+        return imu_readings(datasets, [(np.eye(2), float(np.exp(log_factor)))], lever_arm, hangs)[0]
 
     from scipy.optimize import minimize_scalar  # 0.2 s to import
 
@@ -204,7 +207,7 @@ class _Turned(NamedTuple):
         return np.asarray((x[:, :, None] - self.plane @ at)[:, :, 0])
 
 
-def _turned(read: Sequence[_Read], factor: float) -> list[_Turned]:
+def _turned(read: list[_Read], factor: float) -> list[_Turned]:
     """Of each run, by its gyro times `factor`."""
     found = []
     for one in read:

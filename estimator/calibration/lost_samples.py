@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import Dataset, FloatArray, IndexArray
-from estimator.calibration.column_faults import (
+from estimator.calibration.readings import (
     Motion,
     as_it_is,
     filtered_motion,
@@ -125,7 +125,7 @@ class _Rows:
     def __init__(self, motion: Motion, mechanism: Mechanism, options: FitOptions) -> None:
         thinned = motion.thinned()
         slow = slow_rows(thinned, mechanism, options, nothing_changed(mechanism.n))
-        (self.first, self.rows), *_ = slow.parts or [(0, np.zeros((0, mechanism.n, 1)))]
+        (self.first, self.rows), *_ = slow.explained(np.eye(mechanism.n)) or [(0, np.zeros((0, mechanism.n, 1)))]
         self.thin = round(motion.rate_hz / thinned.rate_hz)
         self.length = max(1, round(BLOCK_S * thinned.rate_hz))
         self.blocks = len(self.rows) // self.length

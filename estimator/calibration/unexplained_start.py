@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq import Dataset
-from estimator.calibration.column_faults import filtered_motion, nothing_changed, slow_rows
+from estimator.calibration.readings import filtered_motion, nothing_changed, slow_rows
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 
@@ -36,7 +36,7 @@ def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) 
     slow = slow_rows(motion, mechanism, options, nothing_changed(mechanism.n))
     if mechanism.exchanged or not slow.parts:
         return 0
-    first, rows = slow.parts[0]
+    first, rows = slow.explained(np.eye(mechanism.n))[0]
     length = max(1, round(BLOCK_S * motion.rate_hz))
     count = len(rows) // length
     parts = rows[: count * length].reshape(count, length, *rows.shape[1:])

@@ -8,11 +8,10 @@ from itertools import product
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
-from daq import BoolArray, Column, Dataset, FloatArray
-from estimator.calibration import TRIED
-from estimator.signals import lowpass
+from daq import Column, Dataset, FloatArray
+from estimator.calibration import CLEAR, TRIED, imu_readings
+from estimator.signals import IMU_COLUMNS, lowpass
 from experiments.exchange.units import factor, unit_in_name
 
 SLOW_HZ = 0.3
@@ -20,16 +19,10 @@ SLOW_HZ = 0.3
 FAST_HZ = 8.0
 Sign = Literal[1, -1]
 SIGNS: tuple[Sign, ...] = (1, -1)
-CLEAR = 1.5
-"""A guess whose runner-up leaves less than so many times its residual is called unsure."""
 NOT_SURE = "NOT SURE: "
 EXPLAINS = 0.5
 """What leaves a larger share is no explanation. Right units and signs leave 11 to 35 % of the torque of a moving leg
 (up to two thirds of one that hardly moves), an absolute angle for a relative one about 56 %, a motor's angle 81 %."""
-BRIDGED_S = 0.05
-"""A longer gap is no straight line."""
-RING_S = 0.3
-"""Distance from such a gap within which it affects filters."""
 
 
 class Pose(NamedTuple):
@@ -73,13 +66,11 @@ class _Turning(Way):
 
     unit: str
     sign: Sign
-    made: FloatArray
-    """(n,) what is to be explained, as physics makes it."""
+    turned: float
+    """Factor of the gyro, its sign included."""
     side: str
     """The axis across the link."""
-    read: FloatArray
-    lever: float
-    pose: Pose
+    lever_m: float
 
     def __str__(self) -> str:
         return f"{self.unit}, sign {self.sign:+d}"
@@ -102,16 +93,17 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
         warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     a_y = out_sign * to_mps2 * accel[along]
-    best = []
-    for side, (unit, scale), sign in product([name for name in accel if name != along], TRIED["radps"].items(), SIGNS):
-        a_x = to_mps2 * accel[side]
-        made, lever, pose = _tangential(a_x, a_y, sign * scale * gyro[turning], rate_hz, gravity)
-        read = _band(a_x, rate_hz)
-        # the axis across the plane of motion is explained by nothing, and by nothing well: only a live axis counts
-        live = float(np.std(accel[side])) / max(float(np.std(np.stack(list(accel.values())), axis=1).max()), 1e-30)
-        left = share_left(read, made) / max(live, 1e-6)
-        best.append(_Turning(left, False, unit or "rad/s", sign, made, side, read, lever, pose))
-    first, second, *_ = ranked(best)
+    units = [(unit or "rad/s", sign, sign * scale) for (unit, scale), sign in product(TRIED["radps"].items(), SIGNS)]
+    ways = [(np.eye(2), turned) for turned in (0.0, *(turned for *_, turned in units))]
+    sides = {side: to_mps2 * values for side, values in accel.items() if side != along}
+    found, time_s = [], np.arange(len(a_y)) / rate_hz
+    for side, a_x in sides.items():
+        run = Dataset(side, rate_hz, time_s, dict(zip(IMU_COLUMNS, (gyro[turning], a_x, a_y))))
+        still, *read = imu_readings([run], ways, 0.0, hangs=True)
+        found += [_Turning(one.left / still.left, False, unit, sign, one.factor, side, one.lever_arm)
+                  for (unit, sign, _), one in zip(units, read)]
+    first, second, *_ = ranked(found)
+    check, pose = _tangential(sides[first.side], a_y, first.turned * gyro[turning], rate_hz, gravity, first.lever_m)
     unit, said = first.unit, unit_in_name(turning, "gyro_radps")
     fits = f"in {unit}, sign {first.sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
     known, close = first.left <= EXPLAINS and heavy, close_call("the gyro's unit and sign", "accel_x", first, second)
@@ -130,11 +122,11 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
         "gyro_radps": (f"{NOT_SURE * bool(close)}the axis that turns most; {fits} (next best: "
                        f"{100 * second.left:.0f} %)" if known else
                        "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer"),
-        "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {first.lever:.3f} m"
+        "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {first.lever_m:.3f} m"
                          if known else "NOT KNOWN: it does not fit the gyro"),
         "accel_y_mps2": (f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
                          if heavy else f"NOT KNOWN: no gravity in it, {length:.4g} in the median")}
-    return Found(columns, notes, warnings, unexplained, (first.read, first.made), first.pose)
+    return Found(columns, notes, warnings, unexplained, check, pose)
 
 
 def ranked(ways: Iterable[W]) -> list[W]:
@@ -152,11 +144,6 @@ def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
         return []
     return [f"{whose} are a close call: ({first}) leaves {100 * first.left:.0f} % of {what}, ({second}) "
             f"{100 * second.left:.0f} %; look at the plot, and set them by hand if they are others"]
-
-
-def share_left(wanted: FloatArray, made: FloatArray) -> float:
-    """Share of `wanted` that `made` leaves, by their rms."""
-    return float(np.sqrt(np.sum((made - wanted) ** 2) / max(float(np.sum(wanted**2)), 1e-30)))
 
 
 def _same(one: str, other: str, column: str) -> bool:
@@ -183,28 +170,16 @@ def smooth(x: FloatArray, rate_hz: float) -> FloatArray:
     return lowpass(filled(x), min(FAST_HZ, 0.2 * rate_hz), rate_hz)
 
 
-def inside(run: Dataset, names: list[str]) -> BoolArray:
-    """(n,) True away from gaps of `names` that are no straight lines, without a second at each end of a long record."""
-    def reached(where: BoolArray, seconds: float) -> BoolArray:
-        return binary_dilation(where, np.ones(2 * round(seconds * run.rate_hz) + 1, bool))
-
-    use = ~reached(~reached(~run.gap(names), 0.5 * BRIDGED_S), 0.5 * BRIDGED_S + RING_S)
-    edge = int(run.rate_hz) if len(run) > 6 * run.rate_hz else 0
-    use[:edge] = use[len(use) - edge :] = False
-    return use
-
-
 def _band(x: FloatArray, rate_hz: float) -> FloatArray:
     """(n,) without what drifts and what only rings."""
     return smooth(x, rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
 
 
-def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float
-                ) -> tuple[FloatArray, float, Pose]:
-    """accel_x (n,) as gyro and gravity make it, band-passed; the lever arm that fits it, not negative; the motion."""
+def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float, lever_m: float
+                ) -> tuple[tuple[FloatArray, FloatArray], Pose]:
+    """accel_x (n,) band-passed and the same as gyro and gravity make it, and the motion."""
     turned = np.cumsum(omega - omega.mean()) / rate_hz
     tilt = np.unwrap(np.arctan2(a_x, -a_y))
     q1 = turned - lowpass(turned, SLOW_HZ, rate_hz) + lowpass(tilt, SLOW_HZ, rate_hz)
-    swing, sine = (_band(x, rate_hz) for x in (np.gradient(omega, 1.0 / rate_hz), gravity * np.sin(q1)))
-    lever = max(float(swing @ (_band(a_x, rate_hz) - sine) / max(float(swing @ swing), 1e-30)), 0.0)
-    return lever * swing + sine, lever, Pose(q1, omega)
+    made = lever_m * np.gradient(omega, 1.0 / rate_hz) + gravity * np.sin(q1)
+    return (_band(a_x, rate_hz), _band(made, rate_hz)), Pose(q1, omega)

@@ -13,7 +13,6 @@ from estimator.calibration import (
     MOST_LEFT,
     MOST_SPAN,
     ImuReading,
-    Reading,
     as_it_is,
     find_remedies,
     read_imu,
@@ -122,7 +121,7 @@ def _with_imu(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     for imu in readings:
         runs = [imu.applied(data) for data in datasets]
         now, more = find_remedies(runs, mechanism, options, gear_ratio)
-        best: Reading = now if not now.faults and not more else more[0] if more else now
+        best = now if not now.faults and not more else more[0] if more else now
         told = imu.told(as_read) if not best.remedy.changes else f"{imu.told(as_read)}; {best.told(now)}"
         found.append((imu.changes + best.remedy.changes + 10 * bool(best.faults), best.left, told))
     return tuple(told for _, _, told in sorted(found)[:1])
