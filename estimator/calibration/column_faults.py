@@ -39,6 +39,8 @@ GEAR_STEPS = np.exp(np.linspace(np.log(0.25), np.log(4.0), 25))
 """Factors of an angle that are tried; a gear ratio that is wrong by any factor lies near one."""
 COUNT_SPANS = np.exp(np.linspace(np.log(0.1), np.log(20.0), 45))
 """Spans [rad] that are tried for an angle that goes further than any, as counts of an encoder do."""
+FINE = 17
+"""Factors that are tried between the neighbours of the best of these."""
 NEAR_ONE = 0.1
 """Factors closer to one are the scatter of such a search."""
 EQUAL = 1e-3
@@ -130,24 +132,17 @@ def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint:
     """The factor of one joint's angle that leaves least, by search; None where it is near one, or gravity is absent."""
     if mechanism.length_unit == "m" or mechanism.gravity_mps2 == 0.0:
         return None
-    column = angle_column(mechanism, joint)
+    column, gear = angle_column(mechanism, joint), factors is GEAR_STEPS
 
-    def at(log_factor: float) -> Reading[Remedy]:
-        scaled = _scaled(mechanism, {column: float(np.exp(log_factor))}, 2)
-        write = f"correct the gear ratio that it was divided by, or {scaled.write}" if factors is GEAR_STEPS else \
-            f"{scaled.write}, or what a count is exactly"
-        return read(motion, mechanism, options, [replace(scaled, write=write)])[0]
+    def at(factors: FloatArray) -> list[Reading[Remedy]]:
+        scaled = [_scaled(mechanism, {column: factor}, 2) for factor in factors.tolist()]
+        return read(motion, mechanism, options, [replace(one, write=(
+            f"correct the gear ratio that it was divided by, or {one.write}" if gear else
+            f"{one.write}, or what a count is exactly")) for one in scaled])
 
-    steps = np.log(factors)
-    coarse = [at(step) for step in steps]
-    sound = [k for k, reading in enumerate(coarse) if not reading.faults]
-    if not sound:
+    left = [np.inf if reading.faults else reading.left for reading in at(factors)]
+    best = int(np.argmin(left))
+    if best in (0, len(left) - 1):
         return None
-    best = min(sound, key=lambda k: coarse[k].left)
-    if best in (0, len(steps) - 1):
-        return None
-    low, mid, high = (coarse[best + side].left ** 2 for side in (-1, 0, 1))
-    bend = low - 2.0 * mid + high
-    shift = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
-    fine = at(steps[best] + float(np.clip(shift, -1.0, 1.0)) * (steps[1] - steps[0]))
+    fine = min(at(np.geomspace(factors[best - 1], factors[best + 1], FINE)), key=lambda reading: reading.left)
     return None if abs(np.log(fine.remedy.angles[joint, joint])) < NEAR_ONE else fine

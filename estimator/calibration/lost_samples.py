@@ -20,6 +20,7 @@ from estimator.calibration.readings import (
     nothing_changed,
     slow_rows,
 )
+from estimator.calibration.windows import inverse
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals import angle_column, imu_columns, torque_column
@@ -157,9 +158,7 @@ class _Rows:
 
 
 def _solved(gram: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.einsum("...aa->...a", gram)[..., :-1], 1e-300))
-    scaled = gram[..., :-1, :-1] / (scale[..., None] * scale[..., None, :]) + 1e-9 * np.eye(scale.shape[-1])
-    return np.asarray(np.linalg.solve(scaled, (gram[..., :-1, -1] / scale)[..., None])[..., 0] / scale)
+    return np.asarray((inverse(gram[..., :-1, :-1], 1e-9) @ gram[..., :-1, -1:])[..., 0])
 
 
 def lost_text(lost: LostSamples, time_s: float) -> str:

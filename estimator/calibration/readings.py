@@ -14,7 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from daq import BoolArray, Dataset, FloatArray
-from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
+from estimator.calibration.windows import CLEAR, bounded, cut, inverse, typical, usual
 from estimator.fitting import faults, free_mask
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -162,15 +162,14 @@ class Equations(NamedTuple):
         Joints are weighted by their own residual's variance, found in three passes.
         """
         joints = np.einsum("w,wnab->nab", weights, self.grams)
-        level, ridge = np.ones(len(joints)), 1e-12 * np.eye(joints.shape[1] - 1)
+        level = np.ones(len(joints))
         for _ in range(3):
             whole = np.einsum("n,nab->ab", 1.0 / level, joints)
-            scale = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
-            inverse = np.linalg.inv(whole[:-1, :-1] / np.outer(scale, scale) + ridge) / np.outer(scale, scale)
-            found = inverse @ whole[:-1, -1]
+            spread = inverse(whole[:-1, :-1])
+            found = spread @ whole[:-1, -1]
             level = np.maximum(_squares(joints, found), 1e-18 * joints[:, -1, -1].max() + 1e-300) / weights.sum()
             level = np.maximum(level, WEIGHT_SHARE**2 * level.max())
-        return found, self.samples_per_dof / self.length * inverse
+        return found, self.samples_per_dof / self.length * spread
 
     def shares(self, found: FloatArray) -> FloatArray:
         """(W,) residual as a share of the torque of the window, or of the usual one where that is larger."""
@@ -300,7 +299,7 @@ def _plainly_left(rows: SlowRows, torques: FloatArray) -> FloatArray:
     made = np.append(torques, np.full((*torques.shape[:2], 1), -1.0), axis=2)
     power = np.einsum("rja,jab,rjb->r", made, grams[:, k:, k:], made)
     wanted = np.einsum("jka,rja->rk", grams[:, :k, k:], made)
-    explained = np.sum(wanted @ np.linalg.pinv(grams[:, :k, :k].sum(axis=0), hermitian=True) * wanted, axis=1)
+    explained = np.sum(wanted @ inverse(grams[:, :k, :k].sum(axis=0)) * wanted, axis=1)
     return np.sqrt(np.maximum(1.0 - explained / np.maximum(power, 1e-300), 0.0))
 
 

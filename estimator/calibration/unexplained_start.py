@@ -10,6 +10,7 @@ import numpy as np
 
 from daq import Dataset
 from estimator.calibration.readings import filtered_motion, nothing_changed, slow_rows
+from estimator.calibration.windows import inverse
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 
@@ -48,10 +49,7 @@ def unexplained_start(data: Dataset, mechanism: Mechanism, options: FitOptions) 
     for k in range(3, int(MOST * count)):  # one strange block alone is no start
         behind = slice(k, None)
         gram = grams[behind].sum(axis=0)
-        scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
-        ridge = 1e-12 * np.eye(len(scale))
-        x = np.append(np.linalg.solve(gram[:-1, :-1] / np.outer(scale, scale) + ridge, gram[:-1, -1] / scale) / scale,
-                      -1.0)
+        x = np.append(inverse(gram[:-1, :-1]) @ gram[:-1, -1], -1.0)
         left, terms = np.einsum("kab,a,b->k", grams, x, x), squares @ x**2
         held = FRICTION**2 * length * float(np.sum(x[dry] ** 2))
         start, after = slice(0, k - 1), slice(k, k + BEHIND)

@@ -52,3 +52,10 @@ def bounded(squares: Callable[[FloatArray], FloatArray], leverage: FloatArray) -
         left = squares(weights)
         weights = first / (1.0 + left / max(float(np.median(left)), 1e-300))
     return weights
+
+
+def inverse(gram: FloatArray, ridge: float = 1e-12) -> FloatArray:
+    """(..., k, k) inverse of a Gram matrix, with a ridge on its diagonal in units in which that is one."""
+    scale = np.sqrt(np.maximum(np.einsum("...aa->...a", gram), 1e-300))
+    units = scale[..., :, None] * scale[..., None, :]
+    return np.asarray(np.linalg.inv(gram / units + ridge * np.eye(gram.shape[-1])) / units)

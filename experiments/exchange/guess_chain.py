@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
@@ -12,7 +12,7 @@ from msgspec import structs
 
 from daq import Column, Dataset, FloatArray
 from estimator import FIT_ERRORS, FitOptions
-from estimator.calibration import ALIKE, LEAST_SPAN, MOST_SPAN, TRIED, Reading, Remedy, filtered_motion, read
+from estimator.calibration import ALIKE, CLEAR, LEAST_SPAN, MOST_SPAN, TRIED, Reading, Remedy, filtered_motion, read
 from estimator.model import Mechanism, chain
 from experiments.exchange.guess_names import says
 from experiments.exchange.guess_physics import (
@@ -24,7 +24,6 @@ from experiments.exchange.guess_physics import (
     Sign,
     Way,
     close_call,
-    ranked,
     scale_warnings,
     smooth,
 )
@@ -61,6 +60,8 @@ class _Columns(Remedy):
 
 @dataclass(frozen=True)
 class _Way(Way):
+    named: bool
+    """Whether it is what the names say: their units, rad where they state none, and angles against the link before."""
     read: Reading[_Columns]
 
     @property
@@ -93,7 +94,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
     encoders = [columns[name] if name in angles else Column(name="", unit="rad") for name in names]
     follows = any(name.endswith("_cmd_rad") for name in columns)
 
-    ways = ranked(_ways(raw, mechanism, encoders, follows))
+    ways = _ranked(_ways(raw, mechanism, encoders, follows))
     first = ways[0]
     found = _found(ways, columns, [(name, columns[name]) for name in angles], _check(raw, mechanism, first))
     hangs = first.read.hangs_rad
@@ -107,6 +108,15 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
         found.warnings.append(f"joint 1 hangs at {hangs:.2f} rad, not at 0: set offset = {-hangs:.2f} under "
                               "[columns.q1_rad]")
     return found
+
+
+def _ranked(ways: Iterable[_Way]) -> list[_Way]:
+    """`ways`, what leaves least first; in front of it those by name, unless another explains, and far better."""
+    out = sorted(ways, key=lambda way: way.left)
+    named = [way for way in out if way.named]
+    if not named or out[0].named or (out[0].left <= EXPLAINS and CLEAR * out[0].left < named[0].left):
+        return out
+    return named + [way for way in out if not way.named]
 
 
 def _check(raw: Dataset, mechanism: Mechanism, way: _Way) -> tuple[FloatArray, FloatArray]:

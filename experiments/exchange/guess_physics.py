@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from daq import Column, Dataset, FloatArray
-from estimator.calibration import CLEAR, TRIED, imu_readings
+from estimator.calibration import CLEAR, TRIED, ImuReading, imu_readings
 from estimator.signals import IMU_COLUMNS, lowpass
 from experiments.exchange.units import factor, unit_in_name
 
@@ -53,11 +53,6 @@ class Way:
 
     left: float
     """Residual as a share of what is to be explained."""
-    named: bool
-    """Whether it is what the names say: their units, rad where they state none, and angles against the link before."""
-
-
-W = TypeVar("W", bound=Way)
 
 
 @dataclass(frozen=True)
@@ -66,11 +61,9 @@ class _Turning(Way):
 
     unit: str
     sign: Sign
-    turned: float
-    """Factor of the gyro, its sign included."""
     side: str
     """The axis across the link."""
-    lever_m: float
+    read: ImuReading
 
     def __str__(self) -> str:
         return f"{self.unit}, sign {self.sign:+d}"
@@ -100,10 +93,10 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     for side, a_x in sides.items():
         run = Dataset(side, rate_hz, time_s, dict(zip(IMU_COLUMNS, (gyro[turning], a_x, a_y))))
         still, *read = imu_readings([run], ways, 0.0, hangs=True)
-        found += [_Turning(one.left / still.left, False, unit, sign, one.factor, side, one.lever_arm)
-                  for (unit, sign, _), one in zip(units, read)]
-    first, second, *_ = ranked(found)
-    check, pose = _tangential(sides[first.side], a_y, first.turned * gyro[turning], rate_hz, gravity, first.lever_m)
+        found += [_Turning(one.left / still.left, unit, sign, side, one) for (unit, sign, _), one in zip(units, read)]
+    first, second, *_ = sorted(found, key=lambda way: way.left)
+    lever_m = first.read.lever_arm
+    check, pose = _tangential(sides[first.side], a_y, first.read.factor * gyro[turning], rate_hz, gravity, lever_m)
     unit, said = first.unit, unit_in_name(turning, "gyro_radps")
     fits = f"in {unit}, sign {first.sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
     known, close = first.left <= EXPLAINS and heavy, close_call("the gyro's unit and sign", "accel_x", first, second)
@@ -122,20 +115,11 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
         "gyro_radps": (f"{NOT_SURE * bool(close)}the axis that turns most; {fits} (next best: "
                        f"{100 * second.left:.0f} %)" if known else
                        "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer"),
-        "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {first.lever_m:.3f} m"
+        "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {lever_m:.3f} m"
                          if known else "NOT KNOWN: it does not fit the gyro"),
         "accel_y_mps2": (f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
                          if heavy else f"NOT KNOWN: no gravity in it, {length:.4g} in the median")}
     return Found(columns, notes, warnings, unexplained, check, pose)
-
-
-def ranked(ways: Iterable[W]) -> list[W]:
-    """`ways`, what leaves least first; in front of it those by name, unless another explains, and far better."""
-    out = sorted(ways, key=lambda way: way.left)
-    named = [way for way in out if way.named]
-    if not named or out[0].named or (out[0].left <= EXPLAINS and CLEAR * out[0].left < named[0].left):
-        return out
-    return named + [way for way in out if not way.named]
 
 
 def close_call(whose: str, what: str, first: Way, second: Way) -> list[str]:
