@@ -95,7 +95,7 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
 
 def imu_readings(datasets: Sequence[Dataset], ways: Iterable[tuple[FloatArray, float]], lever_arm: float, hangs: bool
                  ) -> list[ImuReading]:
-    """What the IMU shows of itself when read each of `ways`: axes (2, 2), and the gyro's factor."""
+    """Readings of the IMU by each of `ways`: axes (2, 2), and the gyro's factor."""
     read = [_as_read(data, hangs) for data in datasets]
     turned = cache(partial(_turned, read))
     return [_judge(read, turned(factor), axes, factor, lever_arm, hangs) for axes, factor in ways]

@@ -6,6 +6,10 @@ reads the rate), turned by R, with r = l y + e x the way from the axis to the ch
     gyro  = R^T (0, 0, qd) + b_g
     accel = R^T (l qdd - e qd^2 + g sin q, -l qd^2 - e qdd - g cos q, 0) + b_a
 
+The motion is the gyro's: its integral from a free angle at the start of each window, and its slope. A swing is slow:
+behind a low pass too little noise is left in them to shorten the lever arm. Intervals come from leaving out one window
+after the other (delete-one jackknife), so that they hold for coloured errors too, and hold white noise at least.
+
 The rows of R are the link's axes in the chip's frame. Only gravity's size, not its direction, is known beforehand.
 Where q = 0 is, a swing does not say: that is the pose in which the link hangs at rest.
 """
@@ -14,20 +18,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from daq import FloatArray
-from estimator.calibration.spline_smoother import ITERATIONS, ROUNDS, PathFit, Sensor, Track, fit_path
+from estimator.calibration.windows import cut
 from estimator.errors import FitError
 from estimator.numerics import student_quantile
+from estimator.signals import lowpass, white_noise_level
 
-KNOT_S = 0.04
+WINDOW_S = 1.0
+SWING_HZ, OVERSAMPLED = 8.0, 4
+"""Above the frequency links ring; samples of the thinned record a period of it."""
+ROUNDS = 2
+"""Fits, each with the noise levels that the one before leaves."""
 LEAST_SWING_RAD = 0.3
 """From end to end."""
-THIN_HZ = 75.0
+FEWEST = 4
+"""Windows."""
 CLEAR = 25.0
 """Difference of the two hands' deviance below which the data does not tell them apart."""
 PRIOR = np.array([0.5, 0.5, 1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 3.0, 1.0])
@@ -86,30 +97,106 @@ def fit_mount(swings: Sequence[Readings], rests: Sequence[tuple[FloatArray, Floa
     """
     down = -np.mean([mean for mean, _ in rests], axis=0)
     axis = _axis(swings, z_hint)
-    swing = max(float(np.ptp(_turned(s, axis))) for s in swings)
+    parts = [_windows(one, axis) for one in swings]
+    swing = max(float(np.ptp(part.start[:, None] + part.turned @ axis)) if len(part.start) else 0.0 for part in parts)
     if swing < LEAST_SWING_RAD:
         raise FitError(f"the link swung over {swing:.2f} rad, {LEAST_SWING_RAD} are needed: push it harder and record "
                        "again")
-    thin = [_thinned(s) for s in swings]
-    right, left = (_deviance(thin, down, axis, hand, gravity_mps2) for hand in (1.0, -1.0))
-    best, rows = _fit(swings, down, axis, 1.0 if right <= left else -1.0, gravity_mps2)
-    if abs(right - left) < CLEAR:
+    least = min(part.time_s.shape[1] for part in parts)
+    windows = _Windows(*(np.concatenate([x[:, :least] if x.ndim > 1 else x for x in arrays]) for arrays in zip(*parts)))
+    right, left = (_fit(windows, down, axis, hand, gravity_mps2) for hand in (1.0, -1.0))
+    if abs(right.deviance - left.deviance) < CLEAR:
         raise FitError("the swings do not tell on which side the chip's axes lie: swing wider and for longer")
-    return _referred(best, rows, rests, swing)
+    noise = [float(np.mean([white_noise_level(x) for one in swings for x in (one.gyro_radps, one.accel_mps2)[k].T]))
+             for k in (0, 1)]
+    return _referred(min(right, left, key=lambda fit: fit.deviance), rests, (noise[0], noise[1]), swing)
 
 
-def _turned(s: Readings, axis: FloatArray) -> FloatArray:
-    """(n,) angle by the gyro, about its mean; roughly, for its bias is taken for its mean."""
-    rate: FloatArray = s.gyro_radps @ axis
-    q = cumulative_trapezoid(rate - rate.mean(), s.time_s, initial=0)
-    return np.asarray(q - q.mean(), dtype=np.float64)
+class _Windows(NamedTuple):
+    """Low-passed readings in windows."""
+
+    time_s: FloatArray
+    """(W, L) since its start"""
+    gyro: FloatArray
+    """(W, L, 3)"""
+    turned: FloatArray
+    """(W, L, 3) integral of the gyro since its start [rad]"""
+    slope: FloatArray
+    """(W, L, 3) of the gyro [rad/s2]"""
+    accel: FloatArray
+    """(W, L, 3)"""
+    start: FloatArray
+    """(W,) about the angle at its start"""
 
 
-def _thinned(s: Readings) -> Readings:
-    """Some of the samples, none changed: enough to tell left from right."""
+def _windows(s: Readings, axis: FloatArray) -> _Windows:
+    """Windows of a record without its ends, where filters ring."""
     rate = (s.time_s.size - 1) / float(s.time_s[-1] - s.time_s[0])
-    every = max(int(rate / THIN_HZ), 1)
-    return Readings(s.time_s[::every], s.gyro_radps[::every], s.accel_mps2[::every])
+    cutoff = min(SWING_HZ, 0.2 * rate)
+    gyro, accel = (lowpass(x, cutoff, rate) for x in (s.gyro_radps, s.accel_mps2))
+    turned = cumulative_trapezoid(gyro, s.time_s, axis=0, initial=0)
+    q = (turned - gyro.mean(axis=0) * (s.time_s - s.time_s[0])[:, None]) @ axis
+    every, edge = max(int(rate / (OVERSAMPLED * cutoff)), 1), int(rate / cutoff)
+    length = int(WINDOW_S * rate / every)
+    time_s, gyro, turned, slope, accel, q = (cut(x[edge : len(x) - edge : every], length) for x in (
+        s.time_s, gyro, turned, np.gradient(gyro, s.time_s, axis=0), accel, q - q.mean()))
+    return _Windows(time_s - time_s[:, :1], gyro, turned - turned[:, :1], slope, accel, q[:, 0])
+
+
+class _Fit(NamedTuple):
+    theta: FloatArray
+    """(10,) as `PRIOR`"""
+    covariance: FloatArray
+    """(10, 10)"""
+    freedom: int
+    deviance: float
+    """-2 log likelihood up to a constant"""
+    rows: FloatArray
+    """(3, 3) of R before its tilt"""
+
+    @property
+    def half(self) -> FloatArray:
+        """(10,) half of each 95 % interval."""
+        return student_quantile(self.freedom) * np.sqrt(np.diag(self.covariance))
+
+
+def _fit(windows: _Windows, down: FloatArray, axis: FloatArray, hand: float, gravity_mps2: float) -> _Fit:
+    """The fit for right-handed (+1) or left-handed (-1) axes."""
+    from scipy.optimize import least_squares  # 0.2 s to import
+
+    y = down - (down @ axis) * axis
+    if np.linalg.norm(y) < 0.5 * np.linalg.norm(down):
+        raise FitError("gravity points along the axis of the swing: the rest record is of another pose, or the link "
+                       "did not swing about a level axis")
+    y /= np.linalg.norm(y)
+    rows, p, count = np.array([hand * np.cross(y, axis), y, axis]), PRIOR.size, len(windows.start)
+    if count < FEWEST:
+        raise FitError(f"{count} s of swing are too few, at least {FEWEST} are needed: record for longer")
+    first = np.zeros(p)
+    first[2:5] = windows.gyro.mean(axis=(0, 1))
+    x, level = np.concatenate([first, windows.start]), np.ones(2)
+    shape = (count, -1, 2, 3)
+
+    def left(x: FloatArray) -> FloatArray:
+        read = unexplained(rows, x[:p], x[p:], windows, gravity_mps2).reshape(shape) / level[:, None]
+        return np.concatenate([read.ravel(), (x[:p] - first) / PRIOR])
+
+    for _ in range(ROUNDS):
+        found = least_squares(left, x, x_scale="jac")
+        x, level = found.x, level * np.sqrt(np.mean(left(found.x)[:-p].reshape(shape) ** 2, axis=(0, 1, 3)))
+    jacobian, residual = (np.asarray(some)[:-p].reshape(count, -1, *some.shape[1:]) for some in (found.jac, found.fun))
+    own, of_theta = np.einsum("wlw->wl", jacobian[:, :, p:]), jacobian[:, :, :p]
+    of_theta = of_theta - own[:, :, None] * (np.einsum("wl,wlp->wp", own, of_theta) / np.sum(own**2, axis=1)[:, None]
+                                             )[:, None]
+    shares, scores = np.einsum("wlp,wlq->wpq", of_theta, of_theta), np.einsum("wlp,wl->wp", of_theta, residual)
+    whole = shares.sum(axis=0) + np.diag(PRIOR**-2.0)
+    moves = np.linalg.solve(whole - shares, scores[:, :, None])[:, :, 0]
+    moves -= moves.mean(axis=0)
+    samples = float(count * WINDOW_S * 2.0 * SWING_HZ)
+    deviance = 6.0 * samples * float(np.log(level).sum())
+    jackknife, noise = (count - 1) / count * moves.T @ moves, 0.5 * OVERSAMPLED * np.linalg.inv(whole)
+    wider = np.sqrt(np.maximum(np.diag(noise) / np.diag(jackknife), 1.0))
+    return _Fit(x[:p], jackknife * np.outer(wider, wider), count - 1, deviance, rows)
 
 
 def _axis(swings: Sequence[Readings], hint: FloatArray) -> FloatArray:
@@ -119,45 +206,22 @@ def _axis(swings: Sequence[Readings], hint: FloatArray) -> FloatArray:
     return axis if axis @ hint >= 0 else -axis
 
 
-def _deviance(swings: Sequence[Readings], down: FloatArray, axis: FloatArray, hand: float, gravity_mps2: float,
-              ) -> float:
-    """Residual of a quick fit; infinite where it does not converge, for instance with axes of the wrong handedness."""
-    try:
-        return _fit(swings, down, axis, hand, gravity_mps2, rounds=1, iterations=12)[0].deviance
-    except FitError:
-        return float("inf")
-
-
-def _fit(swings: Sequence[Readings], down: FloatArray, axis: FloatArray, hand: float, gravity_mps2: float,
-         rounds: int = ROUNDS, iterations: int = ITERATIONS) -> tuple[PathFit, FloatArray]:
-    """(fit, rows of R before its tilt) for right-handed (+1) or left-handed (-1) axes."""
-    y = down - (down @ axis) * axis
-    if np.linalg.norm(y) < 0.5 * np.linalg.norm(down):
-        raise FitError("gravity points along the axis of the swing: the rest record is of another pose, or the link "
-                       "did not swing about a level axis")
-    y /= np.linalg.norm(y)
-    rows = np.array([hand * np.cross(y, axis), y, axis])
-    sensor = Sensor(lambda theta, q, qd, qdd: readings(rows, theta, q, qd, qdd, gravity_mps2))
-    tracks = []
-    for s in swings:
-        tracks.append(Track(s.time_s, [np.hstack([s.gyro_radps, s.accel_mps2])], _turned(s, axis)))
-    start = np.zeros(PRIOR.size)
-    start[2:5] = np.mean([s.gyro_radps.mean(axis=0) for s in swings], axis=0)
-    return fit_path([sensor], tracks, start, PRIOR, KNOT_S, rounds, iterations), rows
-
-
-def readings(rows: FloatArray, theta: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray,
-             gravity_mps2: float) -> FloatArray:
-    """(n, 6) gyro and accelerometer in the chip's axes; see the module's text."""
+def unexplained(rows: FloatArray, theta: FloatArray, start: FloatArray, windows: _Windows, gravity_mps2: float
+                ) -> FloatArray:
+    """(W, L, 6) gyro and accelerometer less what the module's equations make of the gyro."""
     turn = Rotation.from_rotvec([theta[0], theta[1], 0.0]).as_matrix() @ rows
+    rate, slope = (windows.gyro - theta[2:5]) @ turn[2], windows.slope @ turn[2]
+    q = start[:, None] + (windows.turned - theta[2:5] * windows.time_s[..., None]) @ turn[2]
     lever, side_offset = theta[8], theta[9]
-    accel_x = lever * qdd - side_offset * qd**2 + gravity_mps2 * np.sin(q)
-    accel_y = -lever * qd**2 - side_offset * qdd - gravity_mps2 * np.cos(q)
-    gyro = qd[:, None] * turn[2] + theta[2:5]
-    return np.hstack([gyro, accel_x[:, None] * turn[0] + accel_y[:, None] * turn[1] + theta[5:8]])
+    accel_x = lever * slope - side_offset * rate**2 + gravity_mps2 * np.sin(q)
+    accel_y = -lever * rate**2 - side_offset * slope - gravity_mps2 * np.cos(q)
+    made = [rate[..., None] * turn[2] + theta[2:5],
+            accel_x[..., None] * turn[0] + accel_y[..., None] * turn[1] + theta[5:8]]
+    return np.concatenate([windows.gyro, windows.accel], axis=2) - np.concatenate(made, axis=2)
 
 
-def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, FloatArray]], swing: float) -> MountFit:
+def _referred(fit: _Fit, rests: Sequence[tuple[FloatArray, FloatArray]], noise: tuple[float, float], swing: float
+              ) -> MountFit:
     """The fit with q = 0 where the link hung at rest, intervals carried over."""
     mean = np.mean([m for m, _ in rests], axis=0)
     halves = np.array([h for _, h in rests])
@@ -166,7 +230,7 @@ def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, 
 
     def quantities(x: FloatArray) -> FloatArray:
         """Angle at rest, lever, side_offset, of (theta, mean reading at rest)."""
-        turn = Rotation.from_rotvec([x[0], x[1], 0.0]).as_matrix() @ rows
+        turn = Rotation.from_rotvec([x[0], x[1], 0.0]).as_matrix() @ fit.rows
         a_x, a_y = (turn @ (x[10:] - x[5:8]))[:2]
         rest = np.arctan2(a_x, -a_y)
         c, s = np.cos(rest), np.sin(rest)
@@ -179,8 +243,7 @@ def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, 
     half = factor * np.sqrt(np.diag(by_x @ covariance @ by_x.T))
     rest, lever, side_offset = quantities(x)
     back = np.array([[np.cos(rest), np.sin(rest), 0.0], [-np.sin(rest), np.cos(rest), 0.0], [0.0, 0.0, 1.0]])
-    mount = back @ Rotation.from_rotvec([fit.theta[0], fit.theta[1], 0.0]).as_matrix() @ rows
+    mount = back @ Rotation.from_rotvec([fit.theta[0], fit.theta[1], 0.0]).as_matrix() @ fit.rows
     angles = np.array([fit.half[0], fit.half[1], half[0]])
-    noise = (float(np.sqrt(np.mean(fit.noise[0][:3] ** 2))), float(np.sqrt(np.mean(fit.noise[0][3:] ** 2))))
     return MountFit(mount, angles, float(lever), float(half[1]), float(side_offset), float(half[2]), fit.theta[2:5],
                     fit.half[2:5], fit.theta[5:8], fit.half[5:8], noise, swing)
