@@ -47,6 +47,8 @@ class ImuReading:
     """That fits best [m]."""
     left_as_declared: float
     """The same with the lever arm that the rig declares [m/s2]."""
+    gravity: float
+    """Median of a window [m/s2]."""
 
     @property
     def changes(self) -> int:
@@ -84,9 +86,12 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     ways = [(np.eye(2), 1.0), *((unit * axes, factor) for factor in dict.fromkeys(factors) for axes in _axes())]
     ways += [(np.diag(scales), 1.0) for scales in ((G, 1.0), (1.0, G))]  # one axis alone in g
     as_read, *found = imu_readings(datasets, ways, lever_arm, hangs)
-    found = [reading for reading in found if reading.left < np.inf]
+    # the median length of a link that whirls is not gravity's
+    as_it_weighs, *weigh = (abs(np.log(reading.gravity / gravity)) < np.log(AROUND_OTHER)
+                            for reading in (as_read, *found))
+    found = [reading for reading, weighs in zip(found, weigh) if reading.left < np.inf and (unit == 1.0 or weighs)]
     least = min((reading.left for reading in found), default=np.inf)
-    if unit == 1.0 and as_read.left < CLEAR * least:
+    if (unit == 1.0 or as_it_weighs) and unit * as_read.left < CLEAR * least:
         return as_read, ()
     near = [reading for reading in found if reading.left < CLEAR * least]
     fewest = min((reading.changes for reading in near), default=0)
@@ -199,12 +204,12 @@ class _Turned(NamedTuple):
     power: FloatArray
     """(W,) mean square of the rate."""
 
-    def less_gravity(self, x: FloatArray) -> FloatArray:
-        """(W, 2 L) what no direction of gravity at the start of each window explains of x (W, 2 L)."""
+    def less_gravity(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(W, 2 L) what no gravity at the start of each window explains of x (W, 2 L), and (W, 2) the one that does."""
         across = self.plane.swapaxes(1, 2)
         gram = across @ self.plane + 1e-9 * np.eye(2)  # a gyro in a wrong unit turns too fast to leave a plane
         at = np.linalg.solve(gram, across @ x[:, :, None])
-        return np.asarray((x[:, :, None] - self.plane @ at)[:, :, 0])
+        return np.asarray((x[:, :, None] - self.plane @ at)[:, :, 0]), np.asarray(at[:, :, 0])
 
 
 def _turned(read: list[_Read], factor: float) -> list[_Turned]:
@@ -223,10 +228,12 @@ def _turned(read: list[_Read], factor: float) -> list[_Turned]:
 def _judge(read: Sequence[_Read], turned: Sequence[_Turned], axes: FloatArray, factor: float, lever_arm: float,
            hangs: bool) -> ImuReading:
     """One lever arm for all windows, and their typical residual."""
-    squares = []
+    squares, planes = [], []
     for one, way in zip(read, turned):
         felt = one.windows(one.accel @ axes.T)
-        swing, rest = (way.less_gravity(x) for x in (way.swing, felt.swapaxes(1, 2).reshape(len(felt), -1)))
+        (swing, by_swing), (rest, by_rest) = (
+            way.less_gravity(x) for x in (way.swing, felt.swapaxes(1, 2).reshape(len(felt), -1)))
+        planes.append(np.stack([by_rest, by_swing]))
         squares.append(np.stack([np.mean(a * b, axis=1) for a, b in ((swing, swing), (swing, rest), (rest, rest))]))
     size, common, whole = np.concatenate(squares, axis=1)
 
@@ -241,7 +248,9 @@ def _judge(read: Sequence[_Read], turned: Sequence[_Turned], axes: FloatArray, f
     best, declared = (typical(np.sqrt(left(arm)), power) for arm in (lever, lever_arm))
     if (hangs and _gravity_down(read, axes) <= 0.0) or not np.isfinite(best):
         best = np.inf
-    return ImuReading(axes, factor, best, lever, declared)
+    by_rest, by_swing = np.concatenate(planes, axis=1)
+    gravity = float(np.median(np.hypot(*(by_rest - lever * by_swing).T)))
+    return ImuReading(axes, factor, best, lever, declared, gravity)
 
 
 def _gravity_down(read: Sequence[_Read], axes: FloatArray) -> float:

@@ -77,14 +77,6 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     length = float(np.median(np.sqrt(sum(values**2 for values in accel.values()))))
     accel_unit, to_mps2 = min(TRIED["mps2"].items(), key=lambda one: abs(np.log(max(length, 1e-12) * one[1] / gravity)))
     out_sign = -int(np.sign(np.median(accel[along])))
-    warnings, unexplained = [], []
-    heavy = abs(length * to_mps2 / gravity - 1.0) <= 0.2
-    if not heavy:
-        unexplained.append(f"the accelerometer's median length is {length:.4g}, not gravity in m/s2, g, mg or mm/s2: "
-                           "it may be in counts, or have gravity taken off")
-    said = unit_in_name(along, "accel_y_mps2")
-    if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
-        warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     a_y = out_sign * to_mps2 * accel[along]
     units = [(unit or "rad/s", sign, sign * scale) for (unit, scale), sign in product(TRIED["radps"].items(), SIGNS)]
     ways = [(np.eye(2), turned) for turned in (0.0, *(turned for *_, turned in units))]
@@ -95,6 +87,15 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
         still, *read = imu_readings([run], ways, 0.0, hangs=True)
         found += [_Turning(one.left / still.left, unit, sign, side, one) for (unit, sign, _), one in zip(units, read)]
     first, second, *_ = sorted(found, key=lambda way: way.left)
+    warnings, unexplained = [], []
+    weight = first.read.gravity / to_mps2
+    heavy = abs(first.read.gravity / gravity - 1.0) <= 0.2
+    if not heavy:
+        unexplained.append(f"the accelerometer shows a gravity of {weight:.4g}, which is none in m/s2, g, mg or mm/s2: "
+                           "it may be in counts, or have gravity taken off")
+    said = unit_in_name(along, "accel_y_mps2")
+    if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
+        warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     lever_m = first.read.lever_arm
     check, pose = _tangential(sides[first.side], a_y, first.read.factor * gyro[turning], rate_hz, gravity, lever_m)
     unit, said = first.unit, unit_in_name(turning, "gyro_radps")
@@ -117,8 +118,8 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
                        "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer"),
         "accel_x_mps2": (f"across the link, in the plane of motion; the IMU's lever arm would be {lever_m:.3f} m"
                          if known else "NOT KNOWN: it does not fit the gyro"),
-        "accel_y_mps2": (f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
-                         if heavy else f"NOT KNOWN: no gravity in it, {length:.4g} in the median")}
+        "accel_y_mps2": (f"the axis that carries gravity, {weight:.4g} {accel_unit or 'm/s2'}"
+                         if heavy else f"NOT KNOWN: no gravity in it, {weight:.4g}")}
     return Found(columns, notes, warnings, unexplained, check, pose)
 
 

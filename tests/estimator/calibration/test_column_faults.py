@@ -133,6 +133,16 @@ def test_an_imu_that_is_right_and_one_whose_lever_arm_is_not(leg_and_run: tuple[
     assert "looks 0.2 m from the pivot" in said and "lever_arm_m" in said
 
 
+@mark.parametrize("seed", [0, 6])
+def test_an_accelerometer_that_whirls_is_read_as_it_stands(seed: int) -> None:
+    """Most of the time it feels more than twice gravity."""
+    rng = np.random.default_rng(seed)
+    leg = random_leg(rng)
+    run = record(leg, rng, seconds=10.0, amplitude=4.0, high=2.0)
+    assert np.median(np.hypot(run["accel_x_mps2"], run["accel_y_mps2"])) > 2.0 * 9.81
+    assert not read_imu([run], leg.lever, 9.81)[1]
+
+
 @mark.parametrize("columns, named", [
     (["accel_x_mps2"], "accel_x_mps2 looks negated: "), (["gyro_radps"], "gyro_radps looks negated: ")])
 def test_the_knee_tells_a_reading_from_its_mirror_image(columns: list[str], named: str,

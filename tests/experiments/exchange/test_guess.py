@@ -13,11 +13,14 @@ from scipy.io import savemat
 from daq.runs import read_csv
 from experiments.exchange import apply_map, load_map, read_imported
 from experiments.exchange.guess_names import of_joints
+from experiments.exchange.guess_physics import find_imu
 from experiments.models import load_model
 from legid.cli import main
 from tests.support.driven_joint import record
 from tests.support.imported_files import guess, imported, rows_of, table
 from tests.support.motions import pendulum
+from tests.support.mujoco_leg import random_leg
+from tests.support.mujoco_leg import record as mujoco_record
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 from tests.support.shell import Shell, typed
 
@@ -50,6 +53,27 @@ def test_units_and_signs_of_a_chain(names: list[str], unit: float, written: str,
         angle, torque = found[f"q{k + 1}_rad"], found[f"tau{k + 1}_nm"]
         assert (angle.name, angle.unit, angle.sign) == (names[k], written, signs[k])
         assert (torque.name, torque.sign) == (names[3 + k], works[k])
+
+
+def test_a_hand_that_holds_for_a_second_hides_no_unit(tmp_path: Path) -> None:
+    """It pushes with ten times the torque, which no column has."""
+    time, angle, torque = rows_of(record(tmp_path / "x.csv")).T
+    torque[300:400] += 10.0 * np.std(torque)
+    found = guess(table(tmp_path / "y.csv", {"time": time, "pos": np.rad2deg(angle), "effort": -torque}))
+    assert (found["q1_rad"].unit, found["tau1_nm"].sign) == ("deg", -1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_imu_that_swings_far_is_read_as_it_stands(seed: int) -> None:
+    leg = random_leg(np.random.default_rng(seed))
+    run = mujoco_record(leg, seed, seconds=10.0, amplitude=2.0, high=2.0)
+    accel = {name: run[f"accel_{name}_mps2"] for name in ("x", "y")}
+    found = find_imu(run.rate_hz, {"g": run["gyro_radps"]}, accel, 9.81)
+    assert not found.unexplained and not found.warnings
+    assert [(column.name, column.unit, column.sign) for column in found.columns.values()] == [
+        ("g", "", 1), ("x", "", 1), ("y", "", 1)]
+    lever = float(found.notes["accel_x_mps2"].split()[-2])
+    assert lever == pytest.approx(leg.lever, abs=0.005)
 
 
 def test_absolute_angles_become_relative_ones(tmp_path: Path) -> None:
