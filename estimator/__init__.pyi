@@ -22,6 +22,7 @@ from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise
 from .result import Trajectory as Trajectory
 from .use import ENOUGH as ENOUGH
+from .use import TorqueError as TorqueError
 from .use import Use as Use
 from .use import best_first as best_first
 from .use import use_of_parameters as use_of_parameters

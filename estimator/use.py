@@ -10,6 +10,22 @@ from typing import Literal
 ENOUGH = 0.1
 """Error up to which a use is supported, by convention: a fit of 90 %."""
 Purpose = Literal["feedforward", "simulation", "parameters"]
+Speed = Literal["rest", "slow", "fast"]
+
+
+@dataclass(frozen=True)
+class TorqueError:
+    """Error of a model's torque at one joint, at one speed."""
+
+    joint: int
+    """From 1"""
+    speed: Speed
+    """Below a twentieth of the joint's rms rate, up to it, beyond"""
+    rms: float
+    unit: str
+    """N m, N on a slide, V of a motor by its voltage"""
+    ci95: tuple[float, float] | None
+    """On one more run; None where there are too few to say"""
 
 
 @dataclass(frozen=True)
@@ -27,6 +43,8 @@ class Use:
     ci95: tuple[float, float] | None = None
     """Of the error on one more run; None where there are too few to say"""
     measured_on: Literal["held_out", "fit"] = "held_out"
+    by_speed: tuple[TorqueError, ...] = ()
+    """Of a feedforward"""
 
 
 def use_of_parameters(half: float, value: float, sound: bool) -> Use:

@@ -24,7 +24,7 @@ def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
     """`found` with the uses of its model, those of learnt torques by runs left out; without any where it cannot be
     simulated."""
     split, model = nominal.split, model_told(found, nominal)
-    driven, options = split.mechanism.actuated, replace(split.options, noise=split.known)
+    options = replace(split.options, noise=split.known)
 
     def predicted(run: int) -> PredictedRun:
         one = smooth_segments(model, split.names[run], split.runs[run], options, split.starts_s[run])
@@ -32,7 +32,8 @@ def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
 
     try:
         uses = uses_of(tabulate(parallel_map(lambda k: predicted(split.test[k]), len(split.test), split.workers), 0),
-                       driven) if found.structure is None else uses_of(found.structure.table, driven, 1)
+                       split.mechanism) if found.structure is None else uses_of(
+                           found.structure.table, split.mechanism, 1)
     except FIT_ERRORS:
         return found
     values, std = (found.extended, found.extended_std) if found.effects else (found.nominal, found.nominal_std)

@@ -16,7 +16,7 @@ Definitions, once for all:
 
 from estimator.free_runs.filtered import filtered_motion, predict_filtered
 from estimator.free_runs.fitted_model import FittedModel
-from estimator.free_runs.measured_use import measured_use
+from estimator.free_runs.measured_use import measured_use, on_one_more
 from estimator.free_runs.predicted_run import (
     HORIZONS_S,
     SHORT_S,
@@ -41,6 +41,7 @@ __all__ = [
     "filtered_motion",
     "log_ratio",
     "measured_use",
+    "on_one_more",
     "paired_ratio",
     "predict_filtered",
     "predict_run",

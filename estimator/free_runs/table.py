@@ -18,6 +18,8 @@ BLOCK_S = 2.0
 """Length of a block [s]: a few periods of the slowest motion; errors further apart count as independent."""
 LEAST_ERROR = 1e-8
 """Squared errors below this share of a sensor's variance are alike."""
+REST = 0.05
+"""Share of a joint's rms rate below which it is at rest."""
 LEAST_UNITS = 5
 """Fewest runs, or blocks, from whose scatter an interval is made."""
 
@@ -96,6 +98,18 @@ class PredictionTable:
                  for x in (run.residual_torque[model], run.torque)] for run in self.runs]
         errors, sizes = np.concatenate(sums, axis=1)
         return errors, sizes
+
+    def torques_by_speed(self, model: int, joint: int) -> tuple[FloatArray, FloatArray]:
+        """(3, B) squared error of a model's torque summed over the samples of each block at which the joint is at rest,
+        slow and fast, and (3, B) their number."""
+        rates = [np.abs(run.smoothed[self.smoother, run.torque.shape[1] + joint]) for run in self.runs]
+        rms = float(np.sqrt(np.mean(np.concatenate(rates) ** 2)))
+        sums = []
+        for run, rate in zip(self.runs, rates):
+            inside = np.digitize(rate, [REST * rms, rms]) == np.arange(3)[:, None]
+            sums.append(_sums(np.stack([inside * run.residual_torque[model, :, joint] ** 2, inside]), _edges(run)))
+        errors, counts = np.concatenate(sums, axis=2)
+        return errors, counts
 
     @cached_property
     def misfits(self) -> FloatArray:

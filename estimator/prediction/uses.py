@@ -8,7 +8,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -19,27 +21,37 @@ from estimator.free_runs import (
     PredictionTable,
     SmoothedRun,
     measured_use,
+    on_one_more,
     predict_run,
     tabulate,
 )
 from estimator.likelihood import Latents, State
+from estimator.model import Mechanism
 from estimator.result import FitResult
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
-from estimator.use import Use, best_first
+from estimator.use import Speed, TorqueError, Use, best_first
 
 USE_HORIZONS_S = (0.1, SHORT_S, 5.0, np.inf)
 
 
-def uses_of(table: PredictionTable, driven: Sequence[int], model: int = 0) -> tuple[Use, ...]:
-    """Uses of a model of `table` with motors at the joints `driven`, the supported ones first."""
+def uses_of(table: PredictionTable, mechanism: Mechanism, model: int = 0) -> tuple[Use, ...]:
+    """Uses of a model of `table`, the supported ones first."""
     weights = table.samples.max(axis=1)
     found = [_simulation(table, h, model, weights) for h in table.horizons_s]
     enough = [one for one in found if one.supported]
     short = table.horizons_s.index(SHORT_S) if SHORT_S in table.horizons_s else -1
     uses = [enough[-1] if enough else found[short]]
-    if driven:
-        uses.append(measured_use("feedforward", *table.torques(model, list(driven)), table.run))
+    if driven := list(mechanism.actuated):
+        by_speed = tuple(one for j in driven for one in _torque_errors(table, model, j, mechanism.force_unit))
+        uses.append(replace(measured_use("feedforward", *table.torques(model, driven), table.run), by_speed=by_speed))
     return best_first(uses)
+
+
+def _torque_errors(table: PredictionTable, model: int, joint: int, unit: str) -> Iterator[TorqueError]:
+    for speed, errors, counts in zip(get_args(Speed), *table.torques_by_speed(model, joint)):
+        if (there := counts > 0.0).any():
+            rms, ci95 = on_one_more(errors[there], counts[there], np.unique(table.run[there], return_inverse=True)[1])
+            yield TorqueError(joint + 1, speed, rms, unit, ci95)
 
 
 def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: FloatArray) -> Use:

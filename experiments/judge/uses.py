@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
-from estimator import FitResult, Use, best_first, use_of_parameters
+from estimator import FitResult, TorqueError, Use, best_first, use_of_parameters
 from experiments.judge.budget import leading
 from experiments.judge.fit_checks import check_fit
 
@@ -31,11 +32,19 @@ def best_words(uses: Sequence[Use]) -> str:
 
 
 def uses_line(uses: Sequence[Use]) -> str:
-    """Every use that was measured, with its interval; empty without any."""
-    said = " and ".join(f"{_words(one)} [{', '.join(f'{100 * end:.2g}' for end in one.ci95)}]" if one.ci95 else
-                     f"{_words(one)} (too few runs for an interval)"
-                     for one in uses if one.measured_on == "held_out")
-    return f"{said} of the spread of what is measured, on one more run" if said else ""
+    """Every use that was measured, with its interval, and errors of the torque by speed; empty without any."""
+    said = " and ".join(f"{_words(one)} {_within(one.ci95, 100.0)}" for one in uses if one.measured_on == "held_out")
+    by_speed = [f". The torque of joint {joint} errs by {', '.join(_error(one) for one in same)}"
+                for joint, same in groupby((error for one in uses for error in one.by_speed), lambda one: one.joint)]
+    return f"{said} of the spread of what is measured, on one more run{''.join(by_speed)}" if said else ""
+
+
+def _error(one: TorqueError) -> str:
+    return f"{one.rms:.2g} {one.unit} {'at rest' if one.speed == 'rest' else one.speed} {_within(one.ci95)}"
+
+
+def _within(ci95: tuple[float, float] | None, scale: float = 1.0) -> str:
+    return f"[{', '.join(f'{scale * end:.2g}' for end in ci95)}]" if ci95 else "(too few runs for an interval)"
 
 
 def _words(one: Use) -> str:

@@ -144,7 +144,7 @@ def with_uses(setup: Setup, result: FitResult) -> FitResult:
     if result.method == "shooting" and opinion and opinion.held_out and opinion.held_out.use:
         return replace(result, uses=(opinion.held_out.use,))
     table = predict_left_out(result, split_signals(setup.datasets, result.mechanism, setup.options))
-    return result if table is None else replace(result, uses=uses_of(table, result.mechanism.actuated))
+    return result if table is None else replace(result, uses=uses_of(table, result.mechanism))
 
 
 def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:

@@ -9,7 +9,7 @@ from pytest import approx, mark
 
 from daq import FloatArray
 from estimator import ENOUGH, FitOptions, fit
-from estimator.model import leg2
+from estimator.model import chain, leg2
 from estimator.prediction import FittedModel, predict, predict_left_out, tabulate, uses_of
 from estimator.score import RunScores, Score, steps_without
 from estimator.signals import split_signals
@@ -51,16 +51,22 @@ def test_errors_are_shares_of_the_spread_and_the_longest_horizon_is_told() -> No
     runs = [predicted_run(f"r{k}", 100.0, {"q1_rad": angle, "q1d": angle},
                           {h: size * angle.std() * one for h, size in errors.items()}) for k, one in enumerate(noise)]
     runs = [replace(run, residual_torque=0.05 * one[None, :, None]) for run, one in zip(runs, noise)]
-    simulation, feedforward = uses_of(tabulate(runs, 0), [0])
+    simulation, feedforward = uses_of(tabulate(runs, 0), chain(1, actuated=(0,)))
     assert simulation.use == "simulation" and simulation.horizon_s == 1.0 and simulation.supported
     assert simulation.figure == approx(0.02, rel=0.03) and feedforward.figure == approx(0.05, rel=0.03)
     assert simulation.ci95 is not None and simulation.ci95[0] < 0.02 < simulation.ci95[1] < ENOUGH
-    worse = uses_of(tabulate([replace(run, simulated=run.simulated + 1.0) for run in runs], 0), [])
+    at_rest, slow, fast = feedforward.by_speed  # of a sine: 2, 48 and 50 %
+    assert [error.speed for error in feedforward.by_speed] == ["rest", "slow", "fast"]
+    for error in feedforward.by_speed:
+        assert (error.joint, error.unit) == (1, "N m") and error.rms == approx(0.05, rel=0.1)
+        assert error.ci95 is not None and error.ci95[0] < 0.05 < error.ci95[1]
+    worse = uses_of(tabulate([replace(run, simulated=run.simulated + 1.0) for run in runs], 0), chain(1, actuated=()))
     assert len(worse) == 1 and not worse[0].supported and worse[0].horizon_s == 1.0
     few = uses_of(tabulate([replace(runs[0], residual_torque=runs[0].residual_torque[:, :200],
                                     **{name: getattr(runs[0], name)[..., :200] for name in (
                                         "time_s", "measured", "smoothed", "simulated", "starts")},
-                                    torque=runs[0].torque[:200], ends=np.array([200]))], 0), [0])
+                                    torque=runs[0].torque[:200], ends=np.array([200]))], 0),
+                  chain(1, actuated=(0,)))
     assert not any(one.supported or one.ci95 for one in few)
 
 
@@ -75,10 +81,10 @@ def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
     moved = np.array([part.beta - result.beta for part in result.left_out])
     again = fit(runs[1:6], mechanism, options)
     assert moved[0] == approx(again.beta - result.beta, abs=0.3 * float(result.std.max()))
-    uses = uses_of(table, mechanism.actuated)
+    uses = uses_of(table, mechanism)
     assert [one.use for one in uses] == ["simulation", "feedforward"] and all(one.supported for one in uses)
     new = predict([FittedModel(mechanism, "zero", result.beta)], runs[6:], options)
-    fresh = {one.use: one.figure for one in uses_of(new, mechanism.actuated)}
+    fresh = {one.use: one.figure for one in uses_of(new, mechanism)}
     for one in uses:
         assert one.ci95 is not None and one.ci95[0] < fresh[one.use] < one.ci95[1]
     assert predict_left_out(result, split_signals(runs[:5], mechanism, options)) is None
