@@ -20,7 +20,6 @@ from experiments.exchange.guess_physics import (
     NOT_SURE,
     SIGNS,
     Found,
-    Pose,
     Sign,
     Way,
     close_call,
@@ -73,7 +72,7 @@ class _Way(Way):
         return str(self.columns)
 
 
-def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose: Pose | None = None) -> Found:
+def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose: FloatArray | None = None) -> Found:
     """Units of the angles and signs of angles and torques of a chain of joints, by tau = Z beta.
 
     `columns` are q1_rad, q2_rad, ... and the torque of each driven joint, or the command that it follows: then the
@@ -90,7 +89,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
     names = [f"q{k + 1}_rad" for k in range(n)]
     angles = names[pose is not None :]
     if pose is not None:
-        raw = replace(raw, columns={**raw.columns, names[0]: pose.q1})
+        raw = replace(raw, columns={**raw.columns, names[0]: pose})
     encoders = [columns[name] if name in angles else Column(name="", unit="rad") for name in names]
     follows = any(name.endswith("_cmd_rad") for name in columns)
 

@@ -9,7 +9,7 @@ from daq import Column, FloatArray
 from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_names import MOST_RIVALS, WORDS, fitting, lacking, triad
-from experiments.exchange.guess_physics import Pose, find_imu
+from experiments.exchange.guess_physics import find_imu
 from experiments.exchange.guess_result import GuessedMap
 from experiments.exchange.guess_rivals import best_knee
 from experiments.exchange.imported import ImportedFile
@@ -29,7 +29,7 @@ def guess_leg(imported: ImportedFile, columns: dict[str, Column], notes: dict[st
     raw = apply_map(imported, columns | spare)
     read = {column.name: raw[name] for name, column in spare.items()}
     warnings, unexplained = [], []
-    pose: Pose | None = None
+    pose: FloatArray | None = None
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
     if triads["gyro"] and len(triads["accel"]) >= 2:
         gyro, accel = ({name: read[name] for name in names} for names in triads.values())

@@ -25,15 +25,6 @@ EXPLAINS = 0.5
 (up to two thirds of one that hardly moves), an absolute angle for a relative one about 56 %, a motor's angle 81 %."""
 
 
-class Pose(NamedTuple):
-    """The first link's motion as the IMU shows it."""
-
-    q1: FloatArray
-    """(n,) [rad]"""
-    rate: FloatArray
-    """(n,) [rad/s]"""
-
-
 class Found(NamedTuple):
     columns: dict[str, Column]
     notes: dict[str, str]
@@ -42,7 +33,8 @@ class Found(NamedTuple):
     """What no unit and sign makes fit: whatever stands in `columns` for it is not to be used."""
     check: tuple[FloatArray, FloatArray]
     """(n,) measured, and as physics makes it of the others."""
-    pose: Pose | None = None
+    pose: FloatArray | None = None
+    """(n,) the first link's angle as the IMU shows it [rad]"""
     left: float = 0.0
     """The share of what is to be explained that the best reading leaves."""
 
@@ -161,10 +153,10 @@ def _band(x: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float, lever_m: float
-                ) -> tuple[tuple[FloatArray, FloatArray], Pose]:
-    """accel_x (n,) band-passed and the same as gyro and gravity make it, and the motion."""
+                ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """accel_x (n,) band-passed and the same as gyro and gravity make it, and the angle."""
     turned = np.cumsum(omega - omega.mean()) / rate_hz
-    tilt = np.unwrap(np.arctan2(a_x, -a_y))
+    swing = lever_m * np.gradient(omega, 1.0 / rate_hz)
+    tilt = np.unwrap(np.arctan2(a_x - swing, -a_y - lever_m * omega**2))
     q1 = turned - lowpass(turned, SLOW_HZ, rate_hz) + lowpass(tilt, SLOW_HZ, rate_hz)
-    made = lever_m * np.gradient(omega, 1.0 / rate_hz) + gravity * np.sin(q1)
-    return (_band(a_x, rate_hz), _band(made, rate_hz)), Pose(q1, omega)
+    return (_band(a_x, rate_hz), _band(swing + gravity * np.sin(q1), rate_hz)), q1

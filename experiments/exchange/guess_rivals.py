@@ -12,7 +12,7 @@ import numpy as np
 from daq import Column, Dataset, FloatArray
 from experiments.exchange.guess_chain import find_chain
 from experiments.exchange.guess_names import measured_columns
-from experiments.exchange.guess_physics import Found, Pose
+from experiments.exchange.guess_physics import Found
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.layouts import UNIT
 
@@ -91,7 +91,7 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 
 def best_knee(raw: Dataset, columns: Mapping[str, Column],
-              rivals: Mapping[str, Sequence[tuple[Column, FloatArray]]], pose: Pose | None, gravity: float
+              rivals: Mapping[str, Sequence[tuple[Column, FloatArray]]], pose: FloatArray | None, gravity: float
               ) -> tuple[Found, dict[str, str]]:
     """The knee by the angle and the torque that agree best, and a note for each that had `rivals`: further columns and
     their readings, those of torques as plain numbers."""

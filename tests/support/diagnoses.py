@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator import Diagnosis, Use
+from estimator import Diagnosis, TorqueError, Use
 from estimator.diagnosis import (
     BudgetRow,
     CandidateScore,
@@ -56,7 +56,9 @@ def synthetic() -> Diagnosis:
                 BudgetRow("cause", 0.9, (0.8, 0.97), "stribeck_friction", 2, 0.8, (0.7, 0.87)),
                 BudgetRow("remainder", 0.1, (0.03, 0.2), None, None, 0.08, (0.02, 0.17)),
                 BudgetRow("noise", 0.125, (0.1, 0.2), None, None, 0.12, (0.08, 0.17))),
-        uses=(Use("simulation", True, 0.03, horizon_s=20.0, ci95=(0.02, 0.05)),),
+        uses=(Use("simulation", True, 0.03, horizon_s=20.0, ci95=(0.02, 0.05)),
+              Use("feedforward", False, 0.12, ci95=(0.1, 0.15),
+                  by_speed=(TorqueError(2, "rest", 0.02, "N m", (0.01, 0.03)),))),
         error=(3.0, 1.2), remainder=Remainder(1, "torque1", "q v"),
         immaterial=(Cause("sensor_time_skew", None, "the IMU is late against encoder and torque",
                           (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),),

@@ -55,7 +55,7 @@ def test_errors_are_shares_of_the_spread_and_the_longest_horizon_is_told() -> No
     assert simulation.use == "simulation" and simulation.horizon_s == 1.0 and simulation.supported
     assert simulation.figure == approx(0.02, rel=0.03) and feedforward.figure == approx(0.05, rel=0.03)
     assert simulation.ci95 is not None and simulation.ci95[0] < 0.02 < simulation.ci95[1] < ENOUGH
-    at_rest, slow, fast = feedforward.by_speed  # of a sine: 2, 48 and 50 %
+    # of a sine: 2, 48 and 50 % of the samples
     assert [error.speed for error in feedforward.by_speed] == ["rest", "slow", "fast"]
     for error in feedforward.by_speed:
         assert (error.joint, error.unit) == (1, "N m") and error.rms == approx(0.05, rel=0.1)
