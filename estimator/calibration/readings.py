@@ -225,18 +225,18 @@ class SlowRows(NamedTuple):
                 for first, rows in self.parts]
 
 
-def slow_rows(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy, tilted: bool = False
+def slow_rows(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy, unknown: bool = False
               ) -> SlowRows:
     """Rows of slow least squares under one reading of the angles.
 
-    Behind the parameters stand constants of the driven joints and, where the mechanism hangs `tilted`, columns of
-    gravity with joint 1 a quarter turn ahead.
+    Behind the parameters stand constants of the driven joints and, of columns of which nothing is known, gravity's
+    columns with joint 1 a quarter turn ahead.
     """
     q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
     q, still = q + remedy.zero, np.zeros_like(q)
     ahead = [mechanism.regressor(q + 0.5 * np.pi * np.eye(mechanism.n)[0], still, still)[..., gravity_of(mechanism)]]
     constants = np.broadcast_to(np.eye(mechanism.n)[:, list(mechanism.actuated)], (*q.shape, len(mechanism.actuated)))
-    z = np.concatenate([mechanism.regressor(q, qd, qdd), *ahead * tilted, constants], axis=2)
+    z = np.concatenate([mechanism.regressor(q, qd, qdd), *ahead * unknown, constants], axis=2)
     free, beta = free_mask(mechanism, options)
     mask = np.append(free, np.ones(z.shape[2] - len(free), dtype=bool))
     offset = [k for j, k in mechanism.offset_columns.items() if j in mechanism.actuated]
@@ -262,34 +262,36 @@ def gravity_of(mechanism: Mechanism) -> list[int]:
     return [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]
 
 
-def equations(motion: Motion, rows: SlowRows, torques: FloatArray) -> Equations | None:
+def equations(motion: Motion, rows: SlowRows, torques: FloatArray, unknown: bool) -> Equations | None:
     """Equations of all windows under one reading; None where there are fewer windows than parts."""
     windows = [cut(part, rows.length) for _, part in rows.explained(torques)]
     if sum(map(len, windows)) < FOLDS:
         return None
     every = np.concatenate(windows)
-    every[..., -1] -= every[..., -1].mean(axis=(0, 1))  # no reading gets praise for what a constant explains
+    if unknown:  # no reading gets praise for what a constant explains
+        every[..., -1] -= every[..., -1].mean(axis=(0, 1))
     return Equations(np.einsum("wlna,wlnb->wnab", every, every) / rows.length, rows.free, rows.start,
                      max(1.0, 0.5 * motion.rate_hz / slow_band(motion.rate_hz)), rows.length)
 
 
-def read(motion: Motion, mechanism: Mechanism, options: FitOptions, remedies: Sequence[R], tilted: bool = False
+def read(motion: Motion, mechanism: Mechanism, options: FitOptions, remedies: Sequence[R], unknown: bool = False
          ) -> list[Reading[R]]:
-    """Least squares under each of `remedies`, of which those of the same angles follow one another.
+    """Least squares under each of `remedies`, of which those of the same angles follow one another. Of columns that
+    are `unknown`, such as a stranger's, joint 1 may hang anywhere.
 
     Of more than `MOST_JUDGED`: those that leave least by plain least squares, and those of them that change nothing.
     """
     def rows_of(remedies: Sequence[R]) -> Iterator[tuple[SlowRows, list[R]]]:
         for _, same in groupby(remedies, lambda one: (one.angles.tobytes(), one.zero.tobytes())):
             alike = list(same)
-            yield slow_rows(motion, mechanism, options, alike[0], tilted), alike
+            yield slow_rows(motion, mechanism, options, alike[0], unknown), alike
 
     if len(remedies) > MOST_JUDGED:
         left = np.concatenate([_plainly_left(rows, np.array([one.torques for one in same]))
                                for rows, same in rows_of(remedies)])
         changed, half = np.array([one.changes > 0 for one in remedies]), MOST_JUDGED // 2
         remedies = [remedies[k] for k in sorted({*np.argsort(left)[:half], *np.lexsort((left, changed))[:half]})]
-    return [_judged(motion, mechanism, rows, one, tilted) for rows, same in rows_of(remedies) for one in same]
+    return [_judged(motion, mechanism, rows, one, unknown) for rows, same in rows_of(remedies) for one in same]
 
 
 def _plainly_left(rows: SlowRows, torques: FloatArray) -> FloatArray:
@@ -303,12 +305,12 @@ def _plainly_left(rows: SlowRows, torques: FloatArray) -> FloatArray:
     return np.sqrt(np.maximum(1.0 - explained / np.maximum(power, 1e-300), 0.0))
 
 
-def _judged(motion: Motion, mechanism: Mechanism, rows: SlowRows, remedy: R, tilted: bool) -> Reading[R]:
-    own, p, tilt = equations(motion, rows, remedy.torques), mechanism.p, 0.0
+def _judged(motion: Motion, mechanism: Mechanism, rows: SlowRows, remedy: R, unknown: bool) -> Reading[R]:
+    own, p, tilt = equations(motion, rows, remedy.torques, unknown), mechanism.p, 0.0
     if own is None:
         return Reading(remedy, 1.0, ("too short",), False, np.zeros(p))
     found, std, left = own.judged()
-    if tilted:
+    if unknown:
         along = gravity_of(mechanism)
         ahead = slice(p, p + len(along))
         heavy = int(np.argmax(np.hypot(found[along], found[ahead])))

@@ -22,6 +22,7 @@ from experiments.exchange.guess_physics import (
     Found,
     Sign,
     Way,
+    bridged,
     close_call,
     scale_warnings,
     smooth,
@@ -88,8 +89,8 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
     mechanism = chain(n, gravity_mps2=gravity, actuated=driven, velocity_scale=SMOOTHING_RADPS)
     names = [f"q{k + 1}_rad" for k in range(n)]
     angles = names[pose is not None :]
-    if pose is not None:
-        raw = replace(raw, columns={**raw.columns, names[0]: pose})
+    seen = raw.columns if pose is None else {**raw.columns, names[0]: pose}
+    raw = replace(raw, columns={name: bridged(x, raw.rate_hz) for name, x in seen.items()})
     encoders = [columns[name] if name in angles else Column(name="", unit="rad") for name in names]
     follows = any(name.endswith("_cmd_rad") for name in columns)
 
@@ -216,7 +217,7 @@ def _ways(raw: Dataset, mechanism: Mechanism, angles: Sequence[Column], follows:
                                      overrules=overrules, signs=signs, works=works))
     found = [Reading(one, 1.0, ("too short",), False, np.zeros(mechanism.p)) for one in readings]
     with suppress(*FIT_ERRORS), np.errstate(all="ignore"):
-        found = read(filtered_motion([raw], mechanism, options).thinned(), mechanism, options, readings, tilted=True)
+        found = read(filtered_motion([raw], mechanism, options).thinned(), mechanism, options, readings, unknown=True)
     for reading in found:
         one, possible = reading.remedy, reading.positive
         if follows and n > 1:  # a drive pushes the angle towards its command

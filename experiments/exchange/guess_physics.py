@@ -8,6 +8,8 @@ from itertools import product
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import binary_opening
 
 from daq import Column, Dataset, FloatArray
 from estimator.calibration import CLEAR, TRIED, ImuReading, imu_readings
@@ -17,6 +19,8 @@ from experiments.exchange.units import factor, unit_in_name
 SLOW_HZ = 0.3
 """Below this the accelerometer gives the pivot's angle, above it the gyro's integral."""
 FAST_HZ = 8.0
+BRIDGED_S = 0.05
+"""A longer gap is no straight line."""
 Sign = Literal[1, -1]
 SIGNS: tuple[Sign, ...] = (1, -1)
 NOT_SURE = "NOT SURE: "
@@ -134,6 +138,11 @@ def filled(x: FloatArray) -> FloatArray:
     return x if known.all() else np.interp(np.arange(x.size), np.flatnonzero(known), x[known])
 
 
+def bridged(x: FloatArray, rate_hz: float) -> FloatArray:
+    """(n,) with straight lines over short gaps."""
+    return np.where(binary_opening(~np.isfinite(x), np.ones(round(BRIDGED_S * rate_hz) + 1)), np.nan, filled(x))
+
+
 def scale_warnings(name: str, torque: Column) -> list[str]:
     """The warning that the scale of a torque in amperes, or without a unit, does not show; none for another unit."""
     if torque.unit and torque.unit.lower() not in ("a", "ma"):
@@ -155,7 +164,7 @@ def _band(x: FloatArray, rate_hz: float) -> FloatArray:
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float, lever_m: float
                 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """accel_x (n,) band-passed and the same as gyro and gravity make it, and the angle."""
-    turned = np.cumsum(omega - omega.mean()) / rate_hz
+    turned = cumulative_trapezoid(omega - omega.mean(), dx=1.0 / rate_hz, initial=0)
     swing = lever_m * np.gradient(omega, 1.0 / rate_hz)
     tilt = np.unwrap(np.arctan2(a_x - swing, -a_y - lever_m * omega**2))
     q1 = turned - lowpass(turned, SLOW_HZ, rate_hz) + lowpass(tilt, SLOW_HZ, rate_hz)

@@ -90,7 +90,7 @@ def guessed(columns: dict[str, np.ndarray], tmp_path: Path, shell: Shell
 
 
 def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, shell: Shell) -> None:
-    """A motor's angle, interchanged joints, an accelerometer without gravity; an absolute angle is a close call."""
+    """A motor's angle, interchanged joints, an accelerometer without gravity, an absolute angle."""
     q1, q2 = run["q1_rad"], run["q2_rad"]
     free = {"ax": run["accel_x_mps2"] - 9.81 * np.sin(q1), "ay": run["accel_y_mps2"] + 9.81 * np.cos(q1)}
     swapped = {"t": run.time_s, "knee": q1, "hip": q2, "torque": run["tau2_nm"]}
@@ -100,8 +100,8 @@ def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, shel
         assert status == 1 and "NOT KNOWN" in said and "positive definite" not in said, said
         page = (tmp_path / str(k) / "m.html").read_text()
         assert 'data-tone="bad"' in page and page.index("NOT TO BE USED") < page.index("<table")
-    _, _, said = guessed(logged(run, knee=q1 + q2), tmp_path / "absolute", shell)
-    assert "NOT SURE" in said and "(rad, absolute, signs" in said
+    status, _, said = guessed(logged(run, knee=q1 + q2), tmp_path / "absolute", shell)
+    assert status == 1 and "'knee' looks absolute, counted from the vertical" in said, said
 
 
 def test_units_by_physics_where_names_are_silent_or_wrong(run: Dataset, tmp_path: Path,
