@@ -90,7 +90,8 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float, pose
     names = [f"q{k + 1}_rad" for k in range(n)]
     angles = names[pose is not None :]
     seen = raw.columns if pose is None else {**raw.columns, names[0]: pose}
-    raw = replace(raw, columns={name: bridged(x, raw.rate_hz) for name, x in seen.items()})
+    needed = [*names, *(f"tau{j + 1}_nm" for j in driven)]
+    raw = replace(raw, columns={name: bridged(seen[name], raw.rate_hz) for name in needed})
     encoders = [columns[name] if name in angles else Column(name="", unit="rad") for name in names]
     follows = any(name.endswith("_cmd_rad") for name in columns)
 

@@ -140,7 +140,7 @@ def filled(x: FloatArray) -> FloatArray:
 
 def bridged(x: FloatArray, rate_hz: float) -> FloatArray:
     """(n,) with straight lines over short gaps."""
-    return np.where(binary_opening(~np.isfinite(x), np.ones(round(BRIDGED_S * rate_hz) + 1)), np.nan, filled(x))
+    return np.where(binary_opening(~np.isfinite(x), np.ones(round(BRIDGED_S * rate_hz) + 1, bool)), np.nan, filled(x))
 
 
 def scale_warnings(name: str, torque: Column) -> list[str]:
