@@ -296,6 +296,8 @@ def read(motion: Motion, mechanism: Mechanism, options: FitOptions, remedies: Se
 
 def _plainly_left(rows: SlowRows, torques: FloatArray) -> FloatArray:
     """(r,) share of the torque that least squares leaves with each of torques (r, n, n)."""
+    if not rows.parts:
+        return np.ones(len(torques))
     k, every = int(rows.free.sum()), np.concatenate([part for _, part in rows.parts])
     grams = np.einsum("lja,ljb->jab", every, every)
     made = np.append(torques, np.full((*torques.shape[:2], 1), -1.0), axis=2)

@@ -55,6 +55,14 @@ def test_units_and_signs_of_a_chain(names: list[str], unit: float, written: str,
         assert (torque.name, torque.sign) == (names[3 + k], works[k])
 
 
+def test_a_chain_s_record_that_is_too_short_is_not_known(tmp_path: Path, shell: Shell) -> None:
+    rows = rows_of(chain_log(tmp_path / "x.csv", NUMBERED))[:60]
+    rows[25:55, -1] = np.nan
+    found = guess(table(tmp_path / "y.csv", dict(zip(["time", *NUMBERED], rows.T))), status=1)
+    assert set(found) == {"time_s", *(f"{name}_rad" for name in ("q1", "q2", "q3")), "tau1_nm", "tau2_nm", "tau3_nm"}
+    assert "explain the torques" in shell.err
+
+
 def test_a_hand_that_holds_for_a_second_hides_no_unit(tmp_path: Path) -> None:
     """It pushes with ten times the torque, which no column has."""
     time, angle, torque = rows_of(record(tmp_path / "x.csv")).T
