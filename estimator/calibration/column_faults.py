@@ -1,9 +1,7 @@
 """Columns whose sign, unit, order or gear is wrong, found by trying the corrections.
 
-A record obeys tau = Z(q, qd, qdd) beta with a possible beta under the right reading of its columns only. Each likely
-mistake is corrected and least squares repeated, in which no window of the records counts for much more than another.
-The correction with a possible beta and the smallest residual is reported; parameters of other windows predict each
-window. Mistakes that no motion shows, such as the torque's scale, are not tried.
+Each likely mistake is corrected, and `readings` judges the corrected record. The correction with a possible beta and the
+smallest residual is reported. Mistakes that no motion shows, such as the torque's scale, are not tried.
 """
 
 from __future__ import annotations

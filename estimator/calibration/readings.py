@@ -268,7 +268,7 @@ def equations(motion: Motion, rows: SlowRows, torques: FloatArray, unknown: bool
     if sum(map(len, windows)) < FOLDS:
         return None
     every = np.concatenate(windows)
-    if unknown:  # no reading gets praise for what a constant explains
+    if unknown:  # a constant torque supports no reading
         every[..., -1] -= every[..., -1].mean(axis=(0, 1))
     return Equations(np.einsum("wlna,wlnb->wnab", every, every) / rows.length, rows.free, rows.start,
                      max(1.0, 0.5 * motion.rate_hz / slow_band(motion.rate_hz)), rows.length)
