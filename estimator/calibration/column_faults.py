@@ -1,7 +1,7 @@
 """Columns whose sign, unit, order or gear is wrong, found by trying the corrections.
 
-Each likely mistake is corrected, and `readings` judges the corrected record. The correction with a possible beta and the
-smallest residual is reported. Mistakes that no motion shows, such as the torque's scale, are not tried.
+Each likely mistake is corrected, and `readings` judges the corrected record. The correction with a possible beta and
+the smallest residual is reported. Mistakes that no motion shows, such as the torque's scale, are not tried.
 """
 
 from __future__ import annotations
