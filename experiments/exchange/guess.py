@@ -154,45 +154,37 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
                  ) -> GuessedMap:
-    """The guess for a chain of joints, each with an encoder."""
+    """The guess for a chain of joints, each with an encoder.
+
+    A chain whose torques no name tells swings freely, unless a column leaves less as the torque of a joint.
+    """
     angles = _angles(imported)
     driven = of_joints(angles, measured_columns(imported, "tau"))
     theirs = {f"q{k}_rad": stated(imported, name, "q2_rad") for k, name in enumerate(angles, 1)}
     theirs |= {f"tau{j + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm")) for j, name in driven.items()}
-    raw = apply_map(imported, only_time(columns) | theirs)
-    wrenches = [] if driven else _wrenches(imported)
-    if wrenches:
-        unknown = dict.fromkeys(theirs, "NOT KNOWN: no column is known to be its torque")
-        return GuessedMap(theirs | only_time(columns), unknown, [], wrenches)
-    found = find_chain(raw, theirs, gravity_mps2)
-    return _guess_of(columns, notes, found, [] if driven else _maybe_torques(imported))
 
+    def read(more: Mapping[str, Column]) -> Found:
+        return find_chain(apply_map(imported, only_time(columns) | theirs | more), theirs | more, gravity_mps2)
 
-def _guess_of(columns: dict[str, Column], notes: dict[str, str], found: Found, more: Sequence[str]) -> GuessedMap:
-    """The guess by what physics found, with the time of `columns` and `more` warnings."""
+    found, unnamed = read({}), [] if driven else imported.names
+    maybe = [name for name in unnamed if says(name, MAYBE_TORQUE) and changes(imported.values(name))]
+    warnings = [f"{name!r} may drive a joint, as its torque or its motor's voltage: call it [columns.tau1_nm] or "
+                "[columns.tau2_nm], with scale in N m a unit, gear included" for name in maybe]
+    axes = [name for name in unnamed if says(name, WRENCH)]
+    moments = [name for name in axes if says(name, "torque|moment|/m[xyz]")] or axes
+    if axes or any(read({f"tau{k}_nm": Column(name=name)}).left < found.left
+                   for name in maybe for k in range(1, len(angles) + 1)):
+        wrench = [f"{', '.join(map(repr, moments))}: a sensor of six axes, and no name says which of them is the "
+                  "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"
+                  ] * bool(axes)
+        unknown = dict.fromkeys(found.notes, "NOT KNOWN: no column is known to be its torque")
+        return GuessedMap(theirs | only_time(columns), unknown, [], wrench + warnings)
     theirs = found.columns | only_time(columns)
-    last = max((name for name in theirs if name.startswith("tau")), default="")
+    last = max((name for name in theirs if "tau" in name), default="")
     what = f"{last}: measured, and computed from the motion [N m]" if last else \
         "acceleration: measured, and computed from gravity and friction [rad/s²]"
-    return GuessedMap(theirs, only_time(notes) | found.notes, [*found.warnings, *more], found.unexplained,
+    return GuessedMap(theirs, only_time(notes) | found.notes, found.warnings + warnings, found.unexplained,
                       {what: found.check})
-
-
-def _maybe_torques(imported: ImportedFile) -> list[str]:
-    """A warning for each column that may drive a joint, though its name does not say which."""
-    return [f"{name!r} may drive a joint, as its torque or its motor's voltage: call it [columns.tau1_nm] or "
-            "[columns.tau2_nm], with scale in N m a unit, gear included"
-            for name in imported.names if says(name, MAYBE_TORQUE) and changes(imported.values(name))]
-
-
-def _wrenches(imported: ImportedFile) -> list[str]:
-    """One line where a sensor of six axes may hold a joint's torque."""
-    axes = [name for name in imported.names if says(name, WRENCH)]
-    moments = [name for name in axes if says(name, "torque|moment|/m[xyz]")]
-    if not axes:
-        return []
-    return [f"{', '.join(map(repr, moments or axes))}: a sensor of six axes, and no name says which of them is the "
-            "torque of which joint. Name it by [columns.tau1_nm], with sign = -1 where it is the reaction"]
 
 
 def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str], list[Column]]:

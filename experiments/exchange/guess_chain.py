@@ -159,7 +159,9 @@ def _found(ways: Sequence[_Way], columns: Mapping[str, Column], angles: Sequence
         why = (f"no unit and sign of {named} explain {what}{pushed and f' {pushed}'} (the best leave "
                f"{100 * first.left:.0f} %): too little motion, a motor's angle before its gear, another order of the "
                "joints, other joints, a delay, an IMU that is turned, or no open chain")
-        if unseen:
+        if "too short" in first.read.faults:
+            why = f"the record is too short to show unit and sign of {named}"
+        elif unseen:
             why = (f"{named} looks absolute, counted from the vertical (that leaves {100 * first.left:.0f} % of "
                    f"{what}): subtract the pivot's angle from it before it is read")
         if not commands:

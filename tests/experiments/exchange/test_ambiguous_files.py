@@ -30,6 +30,15 @@ def test_two_angles_without_a_torque_are_a_free_chain(unit: float, tmp_path: Pat
     assert "actuated = []" in err and "'u' may drive a joint" in err
 
 
+@pytest.mark.parametrize("unit", [1.0, 180.0 / np.pi, 1000.0])
+def test_a_joint_that_a_nameless_column_drives_is_no_free_swing(unit: float, tmp_path: Path, shell: Shell) -> None:
+    t, q, tau = pendulum()
+    found = guess(table(tmp_path / "x.csv", {"t": t, "theta": unit * q, "u": 40.0 * tau}), status=1)
+    assert found["q1_rad"].name == "theta" and "tau1_nm" not in found
+    assert "NOT KNOWN: no column is known to be its torque" in (tmp_path / "x.toml").read_text()
+    assert "'u' may drive a joint" in shell.err and "swing freely" not in shell.err
+
+
 def test_forces_are_no_angles_and_a_wrench_is_asked_for(tmp_path: Path, shell: Shell) -> None:
     t, q1, q2 = free_chain()
     axes = {f"/base/wrench/{name}": np.sin(t + k) for k, name in enumerate(

@@ -60,7 +60,7 @@ def test_a_chain_s_record_that_is_too_short_is_not_known(tmp_path: Path, shell: 
     rows[25:55, -1] = np.nan
     found = guess(table(tmp_path / "y.csv", dict(zip(["time", *NUMBERED], rows.T))), status=1)
     assert set(found) == {"time_s", *(f"{name}_rad" for name in ("q1", "q2", "q3")), "tau1_nm", "tau2_nm", "tau3_nm"}
-    assert "explain the torques" in shell.err
+    assert "the record is too short to show unit and sign of 'q1', 'q2', 'q3'" in shell.err
 
 
 def test_a_hand_that_holds_for_a_second_hides_no_unit(tmp_path: Path) -> None:
