@@ -246,16 +246,12 @@ def _judge(read: Sequence[_Read], turned: Sequence[_Turned], axes: FloatArray, f
     lever = arm_by(bounded(lambda weights: left(arm_by(weights)), size / usual(size)))
     power = np.concatenate([way.power for way in turned])
     best, declared = (typical(np.sqrt(left(arm)), power) for arm in (lever, lever_arm))
-    if (hangs and _gravity_down(read, axes) <= 0.0) or not np.isfinite(best):
+    stands = hangs and np.median([np.median(one.accel @ axes[1]) for one in read]) >= 0.0
+    if stands or not np.isfinite(best):
         best = np.inf
     by_rest, by_swing = np.concatenate(planes, axis=1)
     gravity = float(np.median(np.hypot(*(by_rest - lever * by_swing).T)))
     return ImuReading(axes, factor, best, lever, declared, gravity)
-
-
-def _gravity_down(read: Sequence[_Read], axes: FloatArray) -> float:
-    """Median of the axis along the link, towards the pivot [m/s2]: above zero for a link that hangs."""
-    return float(np.median([-np.median(one.accel @ axes[1]) for one in read]))
 
 
 def _known(x: FloatArray) -> FloatArray:

@@ -1,8 +1,10 @@
-"""`with_uses`: what the model of a diagnosis is good for, by its test runs."""
+"""`with_uses`: what the model of a diagnosis is good for, by its test runs and the scatter of all runs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+
+import numpy as np
 
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
@@ -26,17 +28,22 @@ def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
     split, model = nominal.split, model_told(found, nominal)
     options = replace(split.options, noise=split.known)
 
-    def predicted(run: int) -> PredictedRun:
+    runs = *split.test, *split.train
+
+    def predicted(k: int) -> PredictedRun:
+        run = runs[k]
         one = smooth_segments(model, split.names[run], split.runs[run], options, split.starts_s[run])
         return predict_run([one], USE_HORIZONS_S)
 
     try:
-        uses = uses_of(tabulate(parallel_map(lambda k: predicted(split.test[k]), len(split.test), split.workers), 0),
-                       split.mechanism) if found.structure is None else uses_of(
-                           found.structure.table, split.mechanism, 1)
+        if found.structure is None:
+            table = tabulate(parallel_map(predicted, len(runs), split.workers), 0)
+            uses = uses_of(replace(table, held=np.arange(len(split.test))), split.mechanism)
+        else:
+            uses = uses_of(found.structure.table, split.mechanism, 1)
     except FIT_ERRORS:
         return found
-    values, std = (found.extended, found.extended_std) if found.effects else (found.nominal, found.nominal_std)
+    values, std = found.extended or found.nominal, found.extended_std or found.nominal_std
     known = [use_of_parameters(TWO_SIDED * std[p.name], values[p.name], found.verdict in ("none", "named"))
              for p in split.mechanism.parameters if p.rigid and values.get(p.name) and p.name in std]
     return replace(found, uses=best_first((*uses, *known[:1])))

@@ -220,6 +220,8 @@ class Effect(ABC):
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     strict: ClassVar[bool] = False
     """True if a shape parameter at a limit of its range makes it another effect than its name says."""
+    driven_only: ClassVar[str] = ""
+    """Why a joint without a motor cannot have it; empty where it can."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a fit begins, too: slopes at zero say little of large ones."""
 
@@ -303,12 +305,11 @@ class Effect(ABC):
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         """Why it cannot be tested on this rig; empty where it can."""
-        return ""
+        return "" if self.joint in actuated else self.driven_only
 
 
 class LawEffect(Effect):
-    """An effect whose torque in a simulation is `law` alone: a function of the motion, and of its state, at an instant.
-    """
+    """Its torque in a simulation is `law` alone: a function of the motion, and of its state, at an instant."""
 
     per_joint = True
 

@@ -21,7 +21,6 @@ class DirectionalLoadFriction(ServoFriction):
     """
 
     name = "directional_load_friction"
-    positive = 1
     defining = 1
     sizes = (Size("load_coefficient", "1", 0.01, tolerance=0.01), Size("coefficient_near_rest", "1", 0.01))
     shapes = (Shape("load_share", "1", (0.1, 0.4, 0.8), 1.25, 100.0),
@@ -31,8 +30,6 @@ class DirectionalLoadFriction(ServoFriction):
     tolerance_source = "gears with an efficiency of 98 to 99 %"
     experiment = "lift a payload slowly and let it sink: the motor drives the gear, then the payload does"
     depends_on = "u"
-    plans = ("steady", "ramps")
-    by_hand = "record the session a second time with another payload"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j, m = self.joint or 0, view.mechanism

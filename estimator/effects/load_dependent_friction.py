@@ -20,7 +20,16 @@ def carried_load(at: Points, joint: int, view: View) -> FloatArray:
     return np.sqrt((at.u[joint] * at.sign[joint] - view.parameter("coulomb", joint)) ** 2 + 1e-6)
 
 
-class ServoFriction(TorqueEffect):
+class LoadFriction(TorqueEffect):
+    """Friction that grows with the torque that a joint transmits."""
+
+    driven_only = "the joint carries no measured torque"
+    positive = 1
+    plans = ("steady", "ramps")
+    by_hand = "record the session a second time with another payload"
+
+
+class ServoFriction(LoadFriction):
     """A finer law of friction by load: that of a servo's gears, behind a position loop or a motor on voltage."""
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
@@ -28,7 +37,7 @@ class ServoFriction(TorqueEffect):
         return "" if self.joint in driven else "no servo drives this joint"
 
 
-class LoadDependentFriction(TorqueEffect):
+class LoadDependentFriction(LoadFriction):
     """F = Fc + mu |tau - F sign(v)|: dry friction grows with the transmitted torque, tau less friction.
 
     So it is smaller while the motor drives than while it brakes. With a voltage input the load is the inverse dynamics
@@ -37,15 +46,12 @@ class LoadDependentFriction(TorqueEffect):
 
     name = "load_dependent_friction"
     strict = True
-    positive = 1
     sizes = (Size("load_coefficient", "1", 0.01, tolerance=0.01),)
     sentence = "friction grows with the torque that the joint transmits"
     reference = "Duclusaud, Passault, Padois, Ly 2025"
     tolerance_source = "gears with an efficiency of 98 to 99 %"
     experiment = "the same slow motion with two payloads, or under gravity at several angles"
     depends_on = "u"
-    plans = ("steady", "ramps")
-    by_hand = "record the session a second time with another payload"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j, m = self.joint or 0, view.mechanism
@@ -54,6 +60,3 @@ class LoadDependentFriction(TorqueEffect):
         over = at.u[j] * at.sign[j] - view.parameter("coulomb", j)
         load = np.sqrt(over**2 + 1e-6)
         return size[0] * load / (1.0 + np.clip(size[0], -0.9, 0.9) * over / load) * at.sign[j]
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return "" if self.joint in actuated else "the joint carries no measured torque"

@@ -14,7 +14,6 @@ class LoadStribeckFriction(ServoFriction):
 
     name = "load_stribeck_friction"
     strict = True
-    positive = 1
     sizes = (Size("load_coefficient", "1", 0.01, tolerance=0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.4, 1.6), 1.5),
               Shape("exponent", "1", (1.0, 2.0), discrete=True, default=2.0))
@@ -23,7 +22,6 @@ class LoadStribeckFriction(ServoFriction):
     tolerance_source = "gears with an efficiency of 98 to 99 % that start at 97 to 98 %"
     experiment = "slow reversals with a payload, and fast ones with the same"
     depends_on = "v"
-    plans = ("steady", "ramps")
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0

@@ -13,15 +13,12 @@ class QuadraticLoadFriction(ServoFriction):
     """k (tau - F sign(v))^2 sign(v)."""
 
     name = "quadratic_load_friction"
-    positive = 1
     sizes = (Size("load_coefficient", "1/(N m)", 0.01, tolerance=0.005),)
     sentence = "friction grows with the square of the torque that the joint transmits"
     reference = "load_friction_quad of Duclusaud, Passault, Padois, Ly 2025 (model M6), without its Stribeck part"
     tolerance_source = "half of what friction by load has, where the torque reaches 1 N m"
     experiment = "the same slow motion with two payloads and with none"
     depends_on = "u"
-    plans = ("steady", "ramps")
-    by_hand = "record the session a second time with another payload"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0

@@ -6,13 +6,13 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects.base import Points, Shape, Size, TorqueEffect, View
-from estimator.model import Mechanism
 
 
 class TorqueRipple(TorqueEffect):
     """A sin(n phi) + B cos(n phi), phi the motor's angle: gear ratio times the joint's."""
 
     name = "torque_ripple"
+    driven_only = "no motor at this joint"
     sizes = (Size("sine_amplitude", "N m", 0.01, tolerance=0.003),
              Size("cosine_amplitude", "N m", 0.01, tolerance=0.003))
     shapes = (Shape("order", "1", (1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 12.0, 14.0), discrete=True),)
@@ -26,6 +26,3 @@ class TorqueRipple(TorqueEffect):
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         phase = size[2] * view.gear_ratio * at.q[self.joint or 0]
         return -(size[0] * np.sin(phase) + size[1] * np.cos(phase))
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return "" if self.joint in actuated else "no motor at this joint"

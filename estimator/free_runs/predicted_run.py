@@ -79,8 +79,9 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
     starts = np.stack([_starts(problem, h) for h in horizons_s])
     return PredictedRun(
         first.run, 1.0 / problem.dt, np.concatenate([s.time_s for s in first.signals]), problem.ends,
-        channel_names(problem), _measured(first, data), np.stack([_read(one) for one in smoothed]), tuple(horizons_s),
-        np.stack([np.stack([x for x, _ in row]) for row in found]), starts,
+        channel_names(problem), _measured(first, data),
+        np.stack([rows_of(one.problem, one.state.x.v, read_motion(one.problem, one.state)) for one in smoothed]),
+        tuple(horizons_s), np.stack([np.stack([x for x, _ in row]) for row in found]), starts,
         np.array([[lost for _, lost in row] for row in found]),
         np.array([one.misfit() if misfits else np.nan for one in smoothed]), problem.torque,
         np.stack([one.drive - one.problem.motor_torque(one.state.x, one.state.beta) for one in smoothed]),
@@ -109,10 +110,6 @@ def rows_of(problem: LatentProblem, v: FloatArray, readings: Mapping[Channel, Fl
     angles = [readings[encoder_of(j)] for j in range(problem.n)]
     imu = [readings[c] for k in range(problem.imu_count) for c in imu_channels(k)]
     return np.stack([*angles, *v.T, *imu])
-
-
-def _read(one: SmoothedRun) -> FloatArray:
-    return rows_of(one.problem, one.state.x.v, read_motion(one.problem, one.state))
 
 
 def _measured(one: SmoothedRun, data: Dataset | None) -> FloatArray:

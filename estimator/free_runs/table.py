@@ -58,6 +58,8 @@ class PredictionTable:
     """(C,) mean squared error of a constant prediction at the sensor's mean, over all runs"""
     smoother: int
     """The model whose smoothed motion stands in for what no sensor reads"""
+    held: IndexArray | None = None
+    """Runs to which no model was fitted, by their place; None: all"""
 
     @property
     def judged(self) -> tuple[str, ...]:

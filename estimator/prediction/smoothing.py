@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting import converge_motion, iterate, noise_floors, start_state
 from estimator.free_runs import FittedModel, SmoothedRun
-from estimator.likelihood import LatentProblem, Latents, Noise, State
+from estimator.likelihood import LatentProblem, State
 from estimator.options import FitOptions
 from estimator.signals import SignalSet, split_signals
 
@@ -42,16 +42,13 @@ def smooth_segments(model: FittedModel, run: str, signals: Sequence[SignalSet], 
     problem = model.problem(signals, session_s)
     if begin is None:
         begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
-    state = _state(begin.x, model.parameters, begin.noise.levels())
-    held = np.zeros(state.beta.size, dtype=bool)
-    state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
+    beta = model.parameters.copy()
+    state = State(begin.x, beta, begin.noise.levels(), np.zeros((beta.size,) * 2))
+    floors = noise_floors(problem, mechanism, model.beta)
+    state = iterate(problem, state, np.zeros(beta.size, dtype=bool), options, floors)
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
         state = converge_motion(problem, state)
     return SmoothedRun(run, tuple(signals), problem, state)
-
-
-def _state(x: Latents, parameters: FloatArray, noise: Noise) -> State:
-    return State(x, parameters.copy(), noise, np.zeros((parameters.size, parameters.size)))
 
 
 def smooth_under(problem: LatentProblem, begin: State, near: bool = False) -> State:

@@ -35,7 +35,7 @@ USE_HORIZONS_S = (0.1, SHORT_S, 5.0, np.inf)
 
 
 def uses_of(table: PredictionTable, mechanism: Mechanism, model: int = 0) -> tuple[Use, ...]:
-    """Uses of a model of `table`, the supported ones first."""
+    """Uses of a model of `table` by its runs `held`, the supported ones first."""
     weights = table.samples.max(axis=1)
     found = [_simulation(table, h, model, weights) for h in table.horizons_s]
     enough = [one for one in found if one.supported]
@@ -43,21 +43,23 @@ def uses_of(table: PredictionTable, mechanism: Mechanism, model: int = 0) -> tup
     uses = [enough[-1] if enough else found[short]]
     if driven := list(mechanism.actuated):
         by_speed = tuple(one for j in driven for one in _torque_errors(table, model, j, mechanism.force_unit))
-        uses.append(replace(measured_use("feedforward", *table.torques(model, driven), table.run), by_speed=by_speed))
+        uses.append(replace(measured_use("feedforward", *table.torques(model, driven), table.run, held=table.held),
+                            by_speed=by_speed))
     return best_first(uses)
 
 
 def _torque_errors(table: PredictionTable, model: int, joint: int, unit: str) -> Iterator[TorqueError]:
     for speed, errors, counts in zip(get_args(Speed), *table.torques_by_speed(model, joint)):
-        if (there := counts > 0.0).any():
-            rms, ci95 = on_one_more(errors[there], counts[there], np.unique(table.run[there], return_inverse=True)[1])
+        there = counts > 0.0
+        rms, ci95 = on_one_more(errors[there], counts[there], table.run[there], table.held)
+        if np.isfinite(rms):
             yield TorqueError(joint + 1, speed, rms, unit, ci95)
 
 
 def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: FloatArray) -> Use:
     longest = min(one.longest_s for one in table.runs)
     return measured_use("simulation", table.by_block(horizon_s)[model] * weights, weights, table.run,
-                        horizon_s if np.isfinite(horizon_s) else longest)
+                        horizon_s if np.isfinite(horizon_s) else longest, table.held)
 
 
 def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> PredictionTable | None:

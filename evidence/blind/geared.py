@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
+from evidence.blind import servo
 from evidence.blind.servo import (
     GEAR,
     RATE_HZ,
     RIG,
-    RUNS,
     SECONDS,
     Readings,
     draw,
@@ -156,7 +156,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
     """As `servo.make_case`."""
     rng = of_case(name, seed, 11)
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
-    leg, dry, runs = record([hidden] * RUNS, rng)
+    leg, dry, runs = record([hidden] * servo.RUNS, rng)
     write_case(name, seed, out, runs, rng, leg, RIG, truth_of(name, sizes={}), dry)
 
 

@@ -68,7 +68,8 @@ def record(changes: Sequence[Change], rng: np.random.Generator
     leg = replace(random_leg(rng), coulomb=(0.005 + 0.1 * dry, dry))
 
     def logged(run: int, change: Change) -> Readings:
-        readings = as_read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run // 2]))
+        high = (3.0, 2.0, 1.2, 2.5)[run // 2 % 4]
+        readings = as_read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=high))
         change(readings)
         return {k: v[:: round(1.0 / (RATE_HZ * TICK_S))] for k, v in readings.items()}
 

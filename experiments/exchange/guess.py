@@ -163,7 +163,7 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
     theirs = {f"q{k}_rad": stated(imported, name, "q2_rad") for k, name in enumerate(angles, 1)}
     theirs |= {f"tau{j + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm")) for j, name in driven.items()}
 
-    def read(more: Mapping[str, Column]) -> Found:
+    def read(more: dict[str, Column]) -> Found:
         return find_chain(apply_map(imported, only_time(columns) | theirs | more), theirs | more, gravity_mps2)
 
     found, unnamed = read({}), [] if driven else imported.names

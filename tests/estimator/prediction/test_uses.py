@@ -9,6 +9,7 @@ from pytest import approx, mark
 
 from daq import FloatArray
 from estimator import ENOUGH, FitOptions, fit
+from estimator.free_runs import on_one_more
 from estimator.model import chain, leg2
 from estimator.prediction import FittedModel, predict, predict_left_out, tabulate, uses_of
 from estimator.score import RunScores, Score, steps_without
@@ -68,6 +69,19 @@ def test_errors_are_shares_of_the_spread_and_the_longest_horizon_is_told() -> No
                                     torque=runs[0].torque[:200], ends=np.array([200]))], 0),
                   chain(1, actuated=(0,)))
     assert not any(one.supported or one.ci95 for one in few)
+
+
+@mark.parametrize("tested", [1, 2, 8])
+def test_few_test_runs_have_the_scatter_of_all_runs(tested: int) -> None:
+    rng, inside = default_rng(4), []
+    blocks, run = np.ones(80), np.repeat(np.arange(8), 10)
+    for _ in range(400):
+        level = np.exp(2.0 * 0.3 * rng.normal(size=9))  # of eight runs and one more: squared errors
+        error = level[run] * rng.chisquare(20, size=80) / 20.0
+        found = on_one_more(error, blocks, run, np.arange(tested))
+        assert found.value == approx(np.sqrt(error[: 10 * tested].mean())) and found.ci95 is not None
+        inside.append(found.ci95[0] <= np.sqrt(level[8]) <= found.ci95[1])
+    assert 0.92 < np.mean(inside) < 0.98
 
 
 def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
