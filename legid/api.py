@@ -168,7 +168,7 @@ def validate(model: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: 
                          "give a model of the same mechanism")
     prepared = prepare(given, known.rig, sensors=sensors, model=one)
     files = sources_of(given)
-    found = validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s), True)
+    found = validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s))
     if simulator == "mujoco":
         found = validate_in_mujoco(one, found, where)
     return Validations.made_from(found, one, where, origin_from(files, known.source, source))

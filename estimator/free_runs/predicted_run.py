@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from daq import Dataset, FloatArray, IndexArray
 from estimator.free_runs.smoothed_run import SmoothedRun
-from estimator.likelihood import LOST_RAD, FreeRun, LatentProblem, free_run, pieces, read_motion
+from estimator.likelihood import LOST_RAD, LatentProblem, free_run, pieces, read_motion
 from estimator.model import simulate
-from estimator.result import TWO_SIDED
 from estimator.signals import Channel, angle_column, encoder_of, imu_channels, imu_columns
 
 HORIZONS_S = (0.1, 0.5, 1.0, 5.0, np.inf)
@@ -50,8 +49,6 @@ class PredictedRun:
     """(N, n) as measured [N m]"""
     residual_torque: FloatArray
     """(M, N, n) what each model's equation of motion leaves [N m]"""
-    bands: tuple[FloatArray | None, ...] = ()
-    """(C, N) a model: half width of the 95 % band of its whole free run by the covariance of its parameters"""
 
     @property
     def longest_s(self) -> float:
@@ -65,13 +62,11 @@ class PredictedRun:
 
 
 def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = HORIZONS_S,
-                data: Dataset | None = None, covariances: Sequence[FloatArray | None] = (), misfits: bool = False
-                ) -> PredictedRun:
+                data: Dataset | None = None, misfits: bool = False) -> PredictedRun:
     """Free runs of each model from its own motion in `smoothed`, one a model, all of one run.
 
     `data` is that run where encoders may be compared that no model reads, such as a benchmark's. A horizon that no
-    segment exceeds is as the whole. Bands are of the `covariances` (m, m), one a model, where any are given. `misfits`
-    are NaN unless they are asked for.
+    segment exceeds is as the whole. `misfits` are NaN unless they are asked for.
     """
     first = smoothed[0]
     problem = first.problem
@@ -84,8 +79,7 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
         tuple(horizons_s), np.stack([np.stack([x for x, _ in row]) for row in found]), starts,
         np.array([[lost for _, lost in row] for row in found]),
         np.array([one.misfit() if misfits else np.nan for one in smoothed]), problem.torque,
-        np.stack([one.drive - one.problem.motor_torque(one.state.x, one.state.beta) for one in smoothed]),
-        tuple(None if c is None else band(one, c) for one, c in zip(smoothed, covariances)))
+        np.stack([one.drive - one.problem.motor_torque(one.state.x, one.state.beta) for one in smoothed]))
 
 
 def _every(one: SmoothedRun, horizons_s: Sequence[float]) -> list[tuple[FloatArray, int]]:
@@ -160,30 +154,3 @@ def _until_lost(one: SmoothedRun, where: slice) -> tuple[FloatArray, FloatArray]
     last = len(q) if good.all() else int(np.argmin(good))
     q[last:], v[last:] = np.nan, np.nan
     return q, v
-
-
-def band(one: SmoothedRun, covariance: FloatArray) -> FloatArray | None:
-    """(C, N) half width of the 95 % band of free runs by the parameters' `covariance` (m, m), to first order.
-
-    None where parameters are not determined or a free run diverges.
-    """
-    if not np.isfinite(covariance).all():
-        return None
-    base = free_run(one.problem, one.state, one.drive)
-    if base is None:
-        return None
-    values, axes = np.linalg.eigh(covariance)
-    middle = rows_of(one.problem, base.v, base.readings)
-    squares = np.zeros_like(middle)
-    for k in np.flatnonzero(values > 0.0):
-        moved = _moved(one, base, one.state.beta + np.sqrt(values[k]) * axes[:, k])
-        if moved is None:
-            return None
-        squares += (rows_of(one.problem, moved.v, moved.readings) - middle) ** 2
-    return np.asarray(TWO_SIDED * np.sqrt(squares))
-
-
-def _moved(one: SmoothedRun, base: FreeRun, parameters: FloatArray) -> FreeRun | None:
-    """The free run of other `parameters` from the same states."""
-    return free_run(one.problem, replace(one.state, beta=parameters), one.drive, near=(base.q, base.v))
-

@@ -174,7 +174,7 @@ class PredictionTable:
 
 
 def together(a: PredictedRun, b: PredictedRun) -> PredictedRun:
-    return replace(a, smoothed=np.concatenate([a.smoothed, b.smoothed]), bands=(*a.bands, *b.bands),
+    return replace(a, smoothed=np.concatenate([a.smoothed, b.smoothed]),
                    simulated=np.concatenate([a.simulated, b.simulated]), lost=np.concatenate([a.lost, b.lost]),
                    misfits=np.concatenate([a.misfits, b.misfits]),
                    residual_torque=np.concatenate([a.residual_torque, b.residual_torque]))

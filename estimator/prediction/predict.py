@@ -21,12 +21,12 @@ from estimator.prediction.smoothing import smooth
 
 
 def predict(models: Sequence[FittedModel], runs: Iterable[Dataset], options: FitOptions,
-            horizons_s: Iterable[float] = HORIZONS_S, bands: bool = False, smoother: int | None = None,
+            horizons_s: Iterable[float] = HORIZONS_S, smoother: int | None = None,
             seen: Callable[[Dataset, Sequence[SmoothedRun]], None] = lambda data, smoothed: None) -> PredictionTable:
     """Free-run errors of `models` on `runs`, given in the order in which they were recorded.
 
     Each run is smoothed once a model. Session time, on which friction that drifts depends, begins at the first run.
-    `bands`: with the 95 % band by the models' covariances. `smoother`: see `tabulate`; where one is given the densities
+    `smoother`: see `tabulate`; where one is given the densities
     of the runs are left out. `seen` is told of each run's smoothed motions. Raises `FitError` where no motion can be
     estimated.
     """
@@ -34,8 +34,7 @@ def predict(models: Sequence[FittedModel], runs: Iterable[Dataset], options: Fit
     session_s = 0.0
     for data in runs:
         smoothed = [smooth(model, data, options, session_s) for model in models]
-        covariances = [model.covariance for model in models] if bands else []
-        found.append(predict_run(smoothed, with_whole(horizons_s), data, covariances, smoother is None))
+        found.append(predict_run(smoothed, with_whole(horizons_s), data, smoother is None))
         session_s += smoothed[0].problem.total * smoothed[0].problem.dt
         seen(data, smoothed)
     return tabulate(found, smoother)

@@ -24,8 +24,6 @@ class RunFit(Struct, frozen=True, kw_only=True):
     whole: Annotated[ByColumn, Meta(description="fit of the whole run [%] by sensor; null if diverged")]
     short: Annotated[ByColumn, Meta(description="fit of pieces of `short_s`")]
     short_s: Annotated[float, Meta(description="their length [s]")]
-    band95: Annotated[ByColumn, Meta(description="half of the 95 % band by the parameters' uncertainty, rms by sensor")
-                      ] = {}
 
 
 class Segment(Struct, frozen=True, kw_only=True):
@@ -95,13 +93,8 @@ class ValidationDocument(Document, kw_only=True):
 
 def run_fits(table: PredictionTable) -> tuple[RunFit, ...]:
     """One entry a run."""
-    def band(k: int) -> ByColumn:
-        own = table.runs[k].bands[0] if table.runs[k].bands else None
-        return {} if own is None else {name: float(np.sqrt(np.mean(own[table.channels.index(name)] ** 2)))
-                                       for name in fits_of(table, k, np.inf)}
-
     return tuple(RunFit(run=one.run, whole={**fits_of(table, k, np.inf)}, short={**fits_of(table, k, SHORT_S)},
-                        short_s=SHORT_S, band95=band(k)) for k, one in enumerate(table.runs))
+                        short_s=SHORT_S) for k, one in enumerate(table.runs))
 
 
 def segment_of(v: Validation) -> Segment:

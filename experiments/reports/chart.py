@@ -30,16 +30,6 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Band:
-    """Area between two curves (n,)."""
-
-    label: str
-    low: FloatArray
-    high: FloatArray
-    colour: str
-
-
-@dataclass(frozen=True)
 class Chart:
     """Curves that share `time_s` (n,) [s]; all charts of one `group` on a page are zoomed together."""
 
@@ -47,7 +37,6 @@ class Chart:
     lines: Sequence[Line]
     y_label: str
     group: str = "run"
-    bands: Sequence[Band] = ()
     below: str = ""
     """What the lines below are, with their unit."""
 
@@ -55,15 +44,9 @@ class Chart:
     def json(self) -> Markup:
         """Its document; NaN is null, and no `<` can end the element that it stands in."""
         part = slice(0, MOST_SAMPLES)
-        lines, bands = [], []
-        for band in self.bands:
-            for what, values in (("high", band.high), ("low", band.low)):
-                lines.append({"label": f"{band.label}, {what}", "colour": f"{band.colour}55", "width": 0.5,
-                              "dashed": False, "band": True, "values": _numbers(values[part])})
-            bands.append([len(lines) - 1, len(lines), f"{band.colour}33"])
-        lines += [{"label": line.label, "colour": line.colour, "width": line.width, "dashed": line.dashed,
-                   "below": line.below, "values": _numbers(line.values[part])} for line in self.lines]
-        document = {"x": "time [s]", "y": self.y_label, "group": self.group, "below": self.below, "bands": bands,
+        lines = [{"label": line.label, "colour": line.colour, "width": line.width, "dashed": line.dashed,
+                  "below": line.below, "values": _numbers(line.values[part])} for line in self.lines]
+        document = {"x": "time [s]", "y": self.y_label, "group": self.group, "below": self.below,
                     "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
         return Markup(msgspec.json.encode(document).decode().replace("<", "\\u003c"))
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq import FloatArray
-from experiments.reports.chart import MOST_SAMPLES, Band, Chart, Line
+from experiments.reports.chart import MOST_SAMPLES, Chart, Line
 from experiments.reports.html import Picture
 
 if TYPE_CHECKING:
@@ -36,17 +36,16 @@ STYLE: dict[Any, Any] = {
 
 
 def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, caption: str, seconds: float,
-                  group: str = "run", bands: Sequence[Band] = (), leads: bool = False) -> Picture:
+                  group: str = "run", leads: bool = False) -> Picture:
     """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
     script, as far as `MOST_SAMPLES` go."""
     whole = time_s - time_s[0]
     part = slice(0, min(window(time_s, seconds).stop, MOST_SAMPLES))
     shown = [replace(line, values=line.values[part]) for line in lines]
-    under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
     if whole.size > MOST_SAMPLES:
         caption += f" The first {whole[MOST_SAMPLES - 1]:.0f} of {whole[-1]:.0f} s."
-    return Picture(plot_lines(whole[part], shown, y_label, bands=under), caption,
-                   Chart(whole, lines, y_label, group=group, bands=bands), leads, on_paper(seconds, float(whole[-1])))
+    return Picture(plot_lines(whole[part], shown, y_label), caption,
+                   Chart(whole, lines, y_label, group=group), leads, on_paper(seconds, float(whole[-1])))
 
 
 def on_paper(seconds: float, whole_s: float) -> str:
@@ -67,18 +66,14 @@ def blank_figure(name: str, height_in: float = HEIGHT_IN) -> Iterator[Figure]:
         yield Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
 
 
-def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]",
-               bands: Sequence[Band] = ()) -> str:
-    """Curves over time (n,) [s] as an `<svg>` element, over what lies in `bands`; NaN leaves a hole."""
+def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]") -> str:
+    """Curves over time (n,) [s] as an `<svg>` element; NaN leaves a hole."""
     with blank_figure(y_label) as figure:
         axes = figure.add_subplot()
-        for band in bands:
-            axes.fill_between(time_s, band.low, band.high, color=band.colour, alpha=0.25, linewidth=0.0,
-                              label=band.label, zorder=1)
         for line in lines:
             axes.plot(time_s, line.values, label=line.label, color=line.colour, linewidth=line.width,
                       linestyle="--" if line.dashed else "-", zorder=3 if line.dashed else 2)
-        finish(axes, len(lines) + len(bands), x_label, y_label)
+        finish(axes, len(lines), x_label, y_label)
         axes.set_xlim(float(time_s[0]), float(time_s[-1]))
         return to_svg(figure)
 

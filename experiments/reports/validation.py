@@ -11,7 +11,7 @@ from estimator.prediction import SHORT_S, PredictionTable, Validation, validatio
 from experiments.documents import RunFit, Segment, ValidationDocument, finite
 from experiments.judge import Files, sentence_of, with_names
 from experiments.models import Model
-from experiments.reports.chart import Band, Line
+from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
 from experiments.reports.horizons import horizons_section, horizons_text
 from experiments.reports.html import Picture, Section, Table, fold
@@ -42,23 +42,20 @@ def segment_table(found: Sequence[Segment], caption: str = "") -> Table:
 
 
 def fit_table(found: Sequence[RunFit]) -> Table:
-    """One row a sensor of a run; the band as its rms half width, in the sensor's unit."""
+    """One row a sensor of a run."""
     def share(value: float | None) -> str:
         return f"{value:.1f} %" if value is not None and np.isfinite(value) else "diverged"
 
-    return Table(["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"], [
-        [one.run, name, share(value), share(one.short[name]),
-         "" if name not in one.band95 else f"+-{finite(one.band95[name]):.2g}"]
-        for one in found for name, value in one.whole.items()], {2, 3, 4},
-        "Fit: 100 % is exact, 0 % no better than the mean; the band is the rms of its half width, in the sensor's unit")
+    return Table(["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s"], [
+        [one.run, name, share(value), share(one.short[name])] for one in found for name, value in one.whole.items()],
+        {2, 3}, "Fit: 100 % is exact, 0 % no better than the mean")
 
 
 def validation_text(found: ValidationDocument) -> str:
     """Errors of whole runs, as `legid validate` prints them."""
     unit = unit_of(found.runs[0].rmse)
     lines = [segment_table(found.runs).text, "", fit_table(found.fit_percent).text, "",
-             "fit: 100 % is exact, 0 % no better than the mean. Band: change of the simulation by the parameters' "
-             "uncertainty; a much larger error means that the model lacks something.",
+             "fit: 100 % is exact, 0 % no better than the mean.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s.",
              "", INITIAL, state_table(found.runs).text]
     lines += [f"{one.run}: the simulation diverged" for one in found.runs if one.diverged]
@@ -89,8 +86,7 @@ def validation_picture(validation: Validation) -> str:
 
 
 def validation_section(found: ValidationDocument, table: PredictionTable | None) -> Section:
-    """Table of all runs, and figures of the first in `table`, with their bands where it has them. The joint with the
-    worst fit leads the page."""
+    """Table of all runs, and figures of the first in `table`. The joint with the worst fit leads the page."""
     unit = unit_of(found.runs[0].rmse)
     notes = [f"{one.run}: the simulation diverged." for one in found.runs if one.diverged]
     tables = [fit_table(found.fit_percent), segment_table(found.runs), state_table(found.runs)]
@@ -107,25 +103,19 @@ def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture
     """Motion and error of each joint in the first segment."""
     first = validations_of(table)[0]
     unit = unit_of(first.sums)
-    band = table.runs[0].bands[0] if table.runs[0].bands else None
     fits = found.fit_percent[0].whole
     worst = min(range(first.q.shape[1]), key=lambda j: finite(fits.get(f"q{j + 1}_{unit}", np.inf)))
     pictures = []
     for j in range(first.q.shape[1]):
         q = first.q[:, j]
         lines = [Line("measured", first.reference_q[:, j], BLUE, 2.2), Line("simulated", q, ORANGE, 0.9)]
-        half = None if band is None else band[j, : first.time_s.size]
-        shade = "" if half is None else "; shaded, its 95 % band by the parameters' uncertainty"
-        shaded = [] if half is None else [Band("95 % by parameters", q - half, q + half, ORANGE)]
         pictures += [
             picture_lines(first.time_s, lines, f"q{j + 1} [{unit}]", f"Joint {j + 1} in run {first.run}: measured, and "
-                          f"simulated from its first state and the measured torque alone{shade}.", FIGURE_SECONDS,
-                          bands=shaded, leads=j == worst),
+                          "simulated from its first state and the measured torque alone.", FIGURE_SECONDS,
+                          leads=j == worst),
             picture_lines(first.time_s, [Line("simulated less measured", q - first.reference_q[:, j],
                                               ORANGE)], f"error of q{j + 1} [{unit}]",
-                          f"Joint {j + 1}: the error" + ("; shaded, what the parameters' uncertainty explains of it."
-                                                        if half is not None else "."), FIGURE_SECONDS,
-                          bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
+                          f"Joint {j + 1}: the error.", FIGURE_SECONDS)]
     return pictures
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from msgspec import structs
@@ -55,11 +55,11 @@ class ValidationReport:
 
 
 def validate_prepared(model: Model, prepared: Prepared, where: str, files: Sequence[Source] = (),
-                      against: Model | None = None, horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False
+                      against: Model | None = None, horizons_s: Sequence[float] = HORIZONS_S
                       ) -> ValidationReport:
     """Report like that of `validate_model`, on the runs of `prepared`, which were read from `files`, with its trust."""
     setup, seen = prepared.setup, seen_in_fit(model, files)
-    table, steps, notes, smoothed = validate_model(model, setup, where, against, horizons_s, bands)
+    table, steps, notes, smoothed = validate_model(model, setup, where, against, horizons_s)
     told = (*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes)
     trust = with_fit_trust(validation_trust(table, seen, told), model.trust)
     return ValidationReport(prepared, table, steps, seen, trust, smoothed, told)
@@ -79,17 +79,17 @@ class Validated(NamedTuple):
 
 
 def validate_model(model: Model, setup: Setup, where: str, against: Model | None = None,
-                   horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False) -> Validated:
+                   horizons_s: Sequence[float] = HORIZONS_S) -> Validated:
     """Free runs of `model` on the runs of `setup`, next to those of the model `against`; `where` names it in errors.
 
-    The horizon `SHORT_S` and whole segments are always among the horizons. `bands` by the covariance of `model`.
+    The horizon `SHORT_S` and whole segments are always among the horizons.
     Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
     """
     require_mechanism(model, setup, where)
     require_sound(setup)
     models = [fitted_model_of(m) for m in (model, against) if m is not None]
     walked: list[tuple[Dataset, SmoothedRun]] = []
-    table = predict_setup(models, setup, horizons_s, bands, walked)
+    table = predict_setup(models, setup, horizons_s, walked)
     steps = walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None
     notes = [(data.name, range_note(model, one.state.x.q, one.state.x.v, one.drive)) for data, one in walked]
     return Validated(table, steps, tuple(f"{run}: {note}" for run, note in notes if note),
@@ -97,17 +97,15 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
 
 
 def predict_setup(models: Sequence[FittedModel], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,
-                  bands: bool = False, walked: list[tuple[Dataset, SmoothedRun]] | None = None) -> PredictionTable:
+                  walked: list[tuple[Dataset, SmoothedRun]] | None = None) -> PredictionTable:
     """The table of free-run errors of `models` on the runs of `setup`; the first reads what no sensor does. `walked`
     takes each run with the first model's smoothed motion. Raises `FitError`."""
-    others = [replace(model, covariance=None) for model in models[1:]]
-
     def seen(data: Dataset, smoothed: Sequence[SmoothedRun]) -> None:
         if walked is not None:
             walked.append((data, smoothed[0]))
 
-    return predict([models[0], *others], progress(setup.datasets, "simulating", unit="run"), setup.options,
-                   {*horizons_s, SHORT_S}, bands, smoother=0, seen=seen)
+    return predict(models, progress(setup.datasets, "simulating", unit="run"), setup.options,
+                   {*horizons_s, SHORT_S}, smoother=0, seen=seen)
 
 
 def model_of_fit(result: FitResult) -> FittedModel:

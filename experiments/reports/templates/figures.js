@@ -53,10 +53,8 @@
       scales: { x: { time: false } },
       axes: [axis(given.x, 44), { ...axis(y, (u, shown) => 16 + 7 * Math.max(4, ...(shown ?? []).map((x) => x.length))), space: 20 }],
       series: [{ label: given.x, value: number }, ...lines.map((line) => ({
-        label: line.label, class: line.band ? "band" : undefined, stroke: line.colour, width: line.width,
+        label: line.label, stroke: line.colour, width: line.width,
         dash: line.dashed ? [6, 4] : undefined, value: number, points: { show: false }, spanGaps: false }))],
-      bands: given.bands.filter(([high, low]) => Math.max(high, low) <= lines.length)
-        .map(([high, low, fill]) => ({ series: [high, low], fill })),
       hooks: { setScale: [(plot, key) => follow(plot, key, group)] },
     }, [given.time, ...lines.map((line) => line.values)], box);
     (groups[group] ??= []).push(u);
@@ -72,7 +70,7 @@
     figure.prepend(box);
     figure.classList.add("drawn");
     panel(box, given, given.lines.filter((line) => !line.below), given.y, 280);
-    if (below.length) panel(box, { ...given, bands: [] }, below, given.below, 190);
+    if (below.length) panel(box, given, below, given.below, 190);
   }
 
   document.querySelectorAll("figure.chart").forEach(draw);

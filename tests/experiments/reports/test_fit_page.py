@@ -25,7 +25,6 @@ from experiments.reports import (
     truth_section,
     window,
 )
-from experiments.reports.chart import Band
 from experiments.reports.html import fold, render_page, typeset
 from tests.support.fits import document_of, page_of, sections_of, synthetic_fit, text_of
 from tests.support.pages import Outside, allowed_script
@@ -57,14 +56,13 @@ def test_curves_go_into_the_page_whole_and_cannot_end_their_element() -> None:
     t = np.arange(3000) / 100.0
     values = np.sin(t)
     values[7] = np.nan
-    band = Band("95 %", values - 0.1, values + 0.1, BLUE)
-    picture = picture_lines(t, [Line("</script><b>", values, BLUE)], "y [m]", "c", 5.0, bands=[band])
+    picture = picture_lines(t, [Line("</script><b>", values, BLUE)], "y [m]", "c", 5.0)
     page = render_page("x", "y", [Section("s", pictures=[picture])])
     (data,) = re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
     chart = json.loads(data)
-    assert [line["label"] for line in chart["lines"]] == ["95 %, high", "95 %, low", "</script><b>"]
-    assert chart["lines"][2]["values"][7] is None and len(chart["time"]) == 3000
-    np.testing.assert_allclose(chart["lines"][2]["values"][8:], values[8:], rtol=6e-5)
+    assert [line["label"] for line in chart["lines"]] == ["</script><b>"]
+    assert chart["lines"][0]["values"][7] is None and len(chart["time"]) == 3000
+    np.testing.assert_allclose(chart["lines"][0]["values"][8:], values[8:], rtol=6e-5)
     assert "<b>" not in page and page.count("</script>") == 2
     allowed_script(page)
 
