@@ -19,14 +19,14 @@ from estimator.free_runs import (
     SHORT_S,
     FittedModel,
     PredictionTable,
-    SmoothedRun,
     measured_use,
     on_one_more,
     predict_run,
     tabulate,
 )
-from estimator.likelihood import Latents, State
 from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.prediction.smoothing import smooth_segments
 from estimator.result import FitResult
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 from estimator.use import Speed, TorqueError, Use, best_first
@@ -62,26 +62,23 @@ def _simulation(table: PredictionTable, horizon_s: float, model: int, weights: F
                         horizon_s if np.isfinite(horizon_s) else longest, table.held)
 
 
-def predict_left_out(result: FitResult, signals: Sequence[SignalSet]) -> PredictionTable | None:
-    """Free runs over each part of the data by the fit without it, from the fit's motion.
+def predict_left_out(result: FitResult, signals: Sequence[SignalSet], options: FitOptions) -> PredictionTable | None:
+    """Free runs over each part of the data by the fit without it, from that model's own smoothed motion.
 
-    None where the fit has no such parts, or other samples than `signals`.
+    None where the fit has no such parts, or other samples than `signals`. Raises `FitError` where no motion can be
+    estimated.
     """
     ends = np.cumsum([s.time_s.size for s in signals])
     if not result.left_out or ends[-1] != sum(path.time_s.size for path in result.trajectories):
         return None
-    model, runs = FittedModel(result.mechanism, result.hold, result.beta), []
-    motion = [np.concatenate([getattr(path, name) for path in result.trajectories]) for name in ("q", "qd", "qdd")]
+    runs = []
     for part in result.left_out:
         wanted = [(s, max(part.where.start, int(end) - s.time_s.size), min(part.where.stop, int(end)), int(end))
                   for s, end in zip(signals, ends)]
         wanted = [one for one in wanted if one[2] - one[1] >= min(LEAST_SEGMENT, one[0].time_s.size)]
         if not wanted:
             continue
-        rows = np.concatenate([np.arange(begin, stop) for _, begin, stop, _ in wanted])
         own = [cut(s, slice(begin - end + s.time_s.size, stop - end + s.time_s.size)) for s, begin, stop, end in wanted]
-        problem, (q, v, a) = model.problem(own), (x[rows] for x in motion)
-        torque = result.mechanism.inverse_dynamics(q, v, a, part.beta)
-        state = State(Latents(q, v, torque), part.beta, problem.shown, np.zeros((part.beta.size,) * 2))
-        runs.append(predict_run([SmoothedRun(own[0].run, tuple(own), problem, state)], USE_HORIZONS_S))
+        model = FittedModel(result.mechanism, result.hold, part.beta)
+        runs.append(predict_run([smooth_segments(model, own[0].run, own, options, 0.0)], USE_HORIZONS_S))
     return tabulate(runs, 0) if runs else None

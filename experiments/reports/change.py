@@ -154,9 +154,8 @@ def paint_changes(axes: Axes, some: Sequence[Candidate]) -> None:
                      label="smallest detectable" if side > 0.0 else None)
     beyond = np.abs(share) > 1.0
     axes.errorbar(share, rows, xerr=[share - low, high - share], fmt="none", ecolor=GREY, elinewidth=1.4, zorder=2)
-    axes.scatter(share, rows, s=20.0, c=[ORANGE if far else BLUE for far in beyond], zorder=3)
-    for colour, what in ((BLUE, "change"), (ORANGE, "larger change")):
-        axes.scatter([], [], s=20.0, c=colour, label=what)
+    for colour, what, there in ((BLUE, "change", ~beyond), (ORANGE, "larger change", beyond)):
+        axes.scatter(share[there], rows[there], s=20.0, c=colour, zorder=3, label=what if there.any() else None)
     if np.abs(share).max(initial=0.0) > 5.0:
         axes.set_xscale("symlog", linthresh=1.0)
         axes.xaxis.set_major_formatter("{x:g}")

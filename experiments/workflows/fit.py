@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -10,7 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, InputError, Rig
-from estimator import Finding, FitError, FitResult, Method
+from estimator import FIT_ERRORS, Finding, FitError, FitResult, Method
 from estimator.fitting import UNLIMITED, fit_admissible, with_second_opinion
 from estimator.model import Mechanism
 from estimator.prediction import SHORT_S, FittedModel, predict_filtered, predict_left_out, uses_of
@@ -143,8 +144,10 @@ def with_uses(setup: Setup, result: FitResult) -> FitResult:
     opinion = result.second_opinion
     if result.method == "shooting" and opinion and opinion.held_out and opinion.held_out.use:
         return replace(result, uses=(opinion.held_out.use,))
-    table = predict_left_out(result, split_signals(setup.datasets, result.mechanism, setup.options))
-    return result if table is None else replace(result, uses=uses_of(table, result.mechanism))
+    with suppress(*FIT_ERRORS):
+        table = predict_left_out(result, split_signals(setup.datasets, result.mechanism, setup.options), setup.options)
+        return result if table is None else replace(result, uses=uses_of(table, result.mechanism))
+    return result
 
 
 def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:

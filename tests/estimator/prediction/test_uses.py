@@ -90,7 +90,7 @@ def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
     runs = [record(leg, rng, Timing(100.0), seconds=8.0, name=f"r{k}") for k in range(8)]
     mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="zero")
     result = fit(runs[:6], mechanism, options)
-    table = predict_left_out(result, split_signals(runs[:6], mechanism, options))
+    table = predict_left_out(result, split_signals(runs[:6], mechanism, options), options)
     assert table is not None and len(result.left_out) == 6
     moved = np.array([part.beta - result.beta for part in result.left_out])
     again = fit(runs[1:6], mechanism, options)
@@ -101,4 +101,4 @@ def test_figures_of_a_fit_hold_on_a_run_that_was_not_fitted() -> None:
     fresh = {one.use: one.figure for one in uses_of(new, mechanism)}
     for one in uses:
         assert one.ci95 is not None and one.ci95[0] < fresh[one.use] < one.ci95[1]
-    assert predict_left_out(result, split_signals(runs[:5], mechanism, options)) is None
+    assert predict_left_out(result, split_signals(runs[:5], mechanism, options), options) is None
