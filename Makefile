@@ -15,7 +15,7 @@ TOOLS  := build/tools
 
 .PHONY: install demo drives test fast kernel ruff types style test-slow slow slow-kernel test-study lint test-kernel \
 	soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs untuned table5 replication imu-links walker bench \
-	evidence port port-faults fuzz tutorial screenshots changed servos servo-laws payloads looks lab-chain timing tuning engines \
+	evidence port port-faults fuzz tutorial screenshots changed servos servo-laws payloads uses looks lab-chain timing tuning engines \
 	trust wheel arm64 \
 	lock sbom docs clean
 
@@ -208,6 +208,10 @@ trust: $(STAMP)
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.
 payloads: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m evidence payloads --minutes $(or $(MINUTES),30) --out docs/evidence/payloads.md
+
+# Uses that fits and diagnoses state, on runs that neither has seen: three quarters of an hour.
+uses: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m evidence uses --minutes $(or $(MINUTES),45) --out docs/evidence/uses.md
 
 # Looks at healthy readings, readings with faults put in, and fits of legs whose torque is clipped: ten minutes.
 looks: $(STAMP)
