@@ -18,6 +18,7 @@ from evidence.frame import Lines, new_folder, program, table, tell
 from evidence.kept import kept
 from evidence.machine_records import MACHINES, Machine
 from evidence.registry import Evidence
+from evidence.uses import Held, on_new_runs
 from tests.support.paths import ROOT
 
 LONGEST = 170
@@ -47,6 +48,8 @@ class FreeRun(NamedTuple):
     ours: tuple[float, ...] = ()
     published: tuple[float, ...] = ()
     message: str = ""
+    held: tuple[Held, ...] = ()
+    """Uses that the fit to the other runs supports, on this run"""
 
     @property
     def below(self) -> bool:
@@ -125,12 +128,16 @@ def free_runs(one: Machine, snapshot: Path) -> list[FreeRun]:
 
 def left_out(one: Machine, folder: Path, run: str, others: str) -> FreeRun:
     """The run by parameters of the others; values that nobody published are equal in both models."""
-    for name in ("own.json", "published.json", "errors.json"):
+    for name in ("own.json", "own_fit.json", "published.json", "errors.json"):
         (folder / name).unlink(missing_ok=True)
-    fit = f"legid fit {others} --rig rig.toml {one.given}--model-out own.json"
+    fit = f"legid fit {others} --rig rig.toml {one.given}--json own_fit.json --model-out own.json"
     done = typed(fit, folder)
     if not (folder / "own.json").exists():
         return FreeRun(run, message=answer(fit, done))
+    uses = json.loads((folder / "own_fit.json").read_bytes())["uses"]
+    held = tuple(use for use in on_new_runs("", uses, folder / "own.json", folder / "rig.toml",
+                                            [folder / other for other in others.split()], [folder / run])
+                 if use.supported)
     model = json.loads((folder / "own.json").read_bytes())
     for p in model["parameters"]:
         p["value"] = {**one.published, **one.implied}.get(p["name"], p["value"])
@@ -138,11 +145,11 @@ def left_out(one: Machine, folder: Path, run: str, others: str) -> FreeRun:
     check = f"legid validate own.json {run} --rig rig.toml --against published.json --horizons 1 --json errors.json"
     done = typed(check, folder)
     if not (folder / "errors.json").exists():
-        return FreeRun(run, message=answer(check, done))
+        return FreeRun(run, message=answer(check, done), held=held)
     second = next(h for h in json.loads((folder / "errors.json").read_bytes())["horizons"] if h["horizon_s"] == 1.0)
     ours, theirs = ({name: math.inf if e is None else e for name, e in side["rmse"].items()}
                     for side in (second, second["against"]))
-    return FreeRun(run, tuple(ours.values()), tuple(theirs[name] for name in ours))
+    return FreeRun(run, tuple(ours.values()), tuple(theirs[name] for name in ours), held=held)
 
 
 def answer(command: str, done: subprocess.CompletedProcess[str]) -> str:
@@ -175,10 +182,10 @@ def page(snapshots: str = "") -> Lines:
         "# Ten machines that we did not build",
         "Public records, from their authors' files to a diagnosis, by at most five commands each. The longest session "
         f"takes {longest / 60:.1f} minutes. "
-        "Each row has a command, its seconds and exit status, and the first line of its answer. The records are no "
-        "part of the project. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
+        "Each row has a command, its seconds and exit status, and the first line of its answer. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
         "The last table of each machine has rms errors of simulations over 1 s. No run helps to identify the "
-        "parameters that simulate it. Values that nobody published are equal on both sides."]
+        "parameters that simulate it. Values that nobody published are equal on both sides. Its last column has "
+        "the uses that the fit to the others supports, what this run errs, and whether the interval holds."]
     yield table("machine | repository | commit | licence", (
         f"{number}. {one.title} | [{one.repository}](https://github.com/{one.repository}) | `{one.commit[:10]}` | "
         f"{one.licence}" for number, one in enumerate(MACHINES, 1)))
@@ -187,12 +194,14 @@ def page(snapshots: str = "") -> Lines:
         yield from [f"## {number}. {one.title}", f"```toml\n{one.rig}{by_hand}```"]
         yield commands_table(many.rows)
         yield table(f"parameter | legid, 95 % interval | published: {one.source} | ratio | within three half "
-                    "widths | within 6 % or not trusted", (
+                    "widths | within 6 % or not trusted | within 95 % interval", (
             compared(name, many.parameters.get(name), value, not many.verdict.startswith("TRUST"))
             for name, value in one.published.items()))
-        yield table("run | error by the other runs' parameters | by published parameters | less in total", (
-            f"{run.run} | {run.message} | | " if run.message else
-            f"{run.run} | {each(run.ours)} | {each(run.published)} | {'yes' if run.below else 'no'}" for run in runs))
+        yield table("run | error by the other runs' parameters | by published parameters | less in total | uses of the "
+                    "others' fit, and what this run errs", (
+            (f"{run.run} | {run.message} | | " if run.message else
+             f"{run.run} | {each(run.ours)} | {each(run.published)} | {'yes' if run.below else 'no'}")
+            + f" | {'; '.join(map(use_text, run.held)) or 'none'}" for run in runs))
         yield from (f"- {remark}" for remark in one.remarks)
 
 
@@ -201,25 +210,34 @@ def each(errors: Sequence[float]) -> str:
     return ", ".join(f"{e:.3g}" if math.isfinite(e) else "diverges" for e in errors)
 
 
+def use_text(one: Held) -> str:
+    """A supported use, what it states, what the new run errs, and whether its interval has that."""
+    return f"{one.what} {100 * one.stated:.2g} %: {100 * one.found:.2g} %, {'held' if one.within else 'missed'}"
+
+
 def compared(name: str, found: tuple[float, float, float] | None, published: float, flagged: bool) -> str:
     """A row of the table of parameters."""
     if found is None:
-        return f"{name} | not determined | {published:.4g} | | no | yes"
+        return f"{name} | not determined | {published:.4g} | | no | yes | no"
     value, low, high = found
     shown = f"{value:.4g} ({low:.4g} to {high:.4g})" if high > low else f"{value:.4g}, at its bound"
     ratio = value / published
     near, passed = abs(value - published) <= 1.5 * (high - low), flagged or abs(ratio - 1.0) <= 0.06
-    return f"{name} | {shown} | {published:.4g} | {ratio:.2f} | {'yes' if near else 'no'} | {'yes' if passed else 'no'}"
+    answers = " | ".join("yes" if one else "no" for one in (near, passed, low <= published <= high))
+    return f"{name} | {shown} | {published:.4g} | {ratio:.2f} | {answers}"
 
 
 def result(text: str) -> str:
     """The result for the index: parameters within three half widths, those not trusted, runs, the longest session."""
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]
     values = [row for row in cells if row[0].startswith("beta")]
-    runs = [row for row in cells if len(row) == 4 and row[0].endswith(".csv")]
+    runs = [row for row in cells if len(row) == 5 and row[0].endswith(".csv")]
+    uses = [use for row in runs for use in row[4].split("; ") if use != "none"]
     minutes = text.split("The longest session takes ")[1].split(" minutes")[0]
-    near, passed = (sum(row[column] == "yes" for row in values) for column in (4, 5))
-    return (f"{near} of {len(values)} published values within three half widths, {passed} within 6 % or not trusted; "
+    near, passed, inside = (sum(row[column] == "yes" for row in values) for column in (4, 5, 6))
+    return (f"{inside} of {len(values)} published values within their 95 % interval, {near} within three half widths, "
+            f"{passed} within 6 % or not trusted; {sum(use.endswith('held') for use in uses)} of {len(uses)} supported "
+            "uses hold on a new run; "
             f"{sum(row[3] == 'yes' for row in runs)} of {len(runs)} runs err less than by published parameters; "
             f"the longest session takes {minutes} min")
 

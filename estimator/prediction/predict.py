@@ -26,9 +26,8 @@ def predict(models: Sequence[FittedModel], runs: Iterable[Dataset], options: Fit
     """Free-run errors of `models` on `runs`, given in the order in which they were recorded.
 
     Each run is smoothed once a model. Session time, on which friction that drifts depends, begins at the first run.
-    `smoother`: see `tabulate`; where one is given the densities
-    of the runs are left out. `seen` is told of each run's smoothed motions. Raises `FitError` where no motion can be
-    estimated.
+    `smoother`: see `tabulate`; where one is given the densities of the runs are left out. `seen` is told of each run's
+    smoothed motions. Raises `FitError` where no motion can be estimated.
     """
     found: list[PredictedRun] = []
     session_s = 0.0
