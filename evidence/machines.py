@@ -181,8 +181,8 @@ def page(snapshots: str = "") -> Lines:
     yield from [
         "# Ten machines that we did not build",
         "Public records, from their authors' files to a diagnosis, by at most five commands each. The longest session "
-        f"takes {longest / 60:.1f} minutes. "
-        "Each row has a command, its seconds and exit status, and the first line of its answer. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
+        f"takes {longest / 60:.1f} minutes. Each row has a command, its seconds and exit status, and the first line of "
+        "its answer. Numbers 6 to 8 have gears or cables. No setting of legid was changed for them.",
         "The last table of each machine has rms errors of simulations over 1 s. No run helps to identify the "
         "parameters that simulate it. Values that nobody published are equal on both sides. Its last column has "
         "the uses that the fit to the others supports, what this run errs, and whether the interval holds."]
