@@ -34,7 +34,6 @@ LIMIT_S = 600
 """For one command."""
 OTHERS = tuple(name for name in FAMILIES if name not in (RECORDS, BENCH))
 """Families whose physics no code of legid computes."""
-servo.RUNS = stickslip.RUNS = FITTED + NEW  # makers record as many
 NOMINAL, EXTENDED = "fit", "diagnosis"
 
 
@@ -116,6 +115,7 @@ def on_new_runs(label: str, uses: Iterable[Mapping[str, Any]], model: Path, rig:
 def outcome(case: PlannedCase) -> Outcome:
     """The leg, fitted, diagnosed, and held against its last runs."""
     about = case.family, case.hidden, case.seed
+    servo.RUNS = stickslip.RUNS = FITTED + NEW  # of this process of the pool: its makers record as many
     with new_folder() as folder:
         try:
             case.make(folder)

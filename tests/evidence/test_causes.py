@@ -12,7 +12,7 @@ import numpy as np
 from pytest import MonkeyPatch, approx, mark
 
 from estimator.diagnosis.calibration import calibrated
-from evidence.blind import causes, geared, run
+from evidence.blind import causes, geared, run, servo
 from evidence.blind.calibration import Stated, fit, left_out
 from evidence.blind.page import COLUMNS, Column, answer_file, rate, read, sizes, tables
 from evidence.blind.plan import BENCH, FAMILIES, HEALTHY, RECORDS, PlannedCase, choose, one_round, plan
@@ -226,7 +226,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: MonkeyPat
 def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     """A real healthy leg of four runs of four seconds, through the real command."""
     monkeypatch.setattr(geared, "SECONDS", 4.0)
-    monkeypatch.setattr(geared, "RUNS", 4)
+    monkeypatch.setattr(servo, "RUNS", 4)
     began = time.monotonic()
     causes.main(["--families", "geared", "--effects", "none_w", "--seeds", "3", "--at-once", "1", "--minutes",
                  "5", "--answers", str(tmp_path / "kept"), "--out", str(tmp_path / "page.md")])
