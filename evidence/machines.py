@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evidence.frame import Lines, new_folder, program, table, tell
+from evidence.held_uses import Held, on_new_runs
 from evidence.kept import kept
 from evidence.machine_records import MACHINES, Machine
 from evidence.registry import Evidence
-from evidence.uses import Held, on_new_runs
 from tests.support.paths import ROOT
 
 LONGEST = 170

@@ -5,49 +5,32 @@ runs are then simulated by the model files. Called again it goes on where it sto
 """
 
 import json
-import subprocess
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq import WorkError, load_rig
+from daq import WorkError
 from estimator import FitError
-from estimator.prediction import USE_HORIZONS_S, predict
-from estimator.use import ENOUGH, Speed
+from estimator.use import ENOUGH
 from evidence.blind import servo, stickslip
 from evidence.blind.plan import BENCH, FAMILIES, RECORDS, PlannedCase, plan
 from evidence.frame import Lines, new_folder, program, share, table, tell, within
+from evidence.held_uses import Held, on_new_runs
 from evidence.kept import kept
+from evidence.machines import answer, typed
 from evidence.registry import Evidence
-from experiments.models import fitted_model_of, load_model
-from experiments.session import as_datasets, prepare
+from experiments.models import load_model
 
 FITTED, NEW = 8, 4
 AT_ONCE = 2
-LIMIT_S = 600
-"""For one command."""
 OTHERS = tuple(name for name in FAMILIES if name not in (RECORDS, BENCH))
 """Families whose physics no code of legid computes."""
 NOMINAL, EXTENDED = "fit", "diagnosis"
-
-
-class Held(NamedTuple):
-    """One stated figure against one new run."""
-
-    model: str
-    what: str
-    """Use, or speed of a torque's error."""
-    stated: float
-    found: float
-    within: bool | None
-    """None where the figure has no interval"""
-    supported: bool
 
 
 class Outcome(NamedTuple):
@@ -65,52 +48,6 @@ class Outcome(NamedTuple):
     sensor in the middle, and its interval. Empty where the diagnosis writes a nominal model."""
 
 
-def command(words: Sequence[object], folder: Path) -> str:
-    """Run `legid WORDS`; what it says last on stderr, empty where it succeeds."""
-    try:
-        done = subprocess.run([sys.executable, "-m", "legid.cli", *map(str, words)], cwd=folder, capture_output=True,
-                              text=True, timeout=LIMIT_S)
-    except subprocess.TimeoutExpired:
-        return f"no answer in {LIMIT_S} s"
-    return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["no words"])[-1]
-
-
-def on_new_runs(label: str, uses: Iterable[Mapping[str, Any]], model: Path, rig: Path, seen: Sequence[Path],
-                runs: Sequence[Path]) -> Iterator[Held]:
-    """Each figure of `uses` against each of `runs`. They and those `seen` by the fit set the units of errors."""
-    found = load_model(model)
-    setup = prepare(as_datasets([*seen, *runs], load_rig(rig), False), load_rig(rig), model=found).setup
-    errors = predict([fitted_model_of(found)], setup.datasets, setup.options, USE_HORIZONS_S)
-    size = errors.samples.max(axis=1)
-    driven = list(setup.mechanism.actuated)
-
-    def by_run(squares: np.ndarray, sizes: np.ndarray) -> Iterator[float]:
-        for run in range(len(seen), len(seen) + len(runs)):
-            inside = errors.run == run
-            if sizes[inside].sum() > 0.0:
-                yield float(np.sqrt(squares[inside].sum() / sizes[inside].sum()))
-
-    def against(what: str, one: Mapping[str, Any], stated: float, supported: bool, measured: Iterable[float]
-                ) -> Iterator[Held]:
-        for error in measured:
-            inside = None if one["ci95"] is None else one["ci95"][0] <= error <= one["ci95"][1]
-            yield Held(label, what, stated, error, inside, supported)
-
-    for one in uses:
-        if one["use"] == "simulation":
-            horizon = one["horizon_s"] if one["horizon_s"] in USE_HORIZONS_S else inf
-            measured = by_run(errors.by_block(horizon)[0] * size, size)
-        elif one["use"] == "feedforward":
-            measured = by_run(*errors.torques(0, driven))
-            for each in one["by_speed"]:
-                squares, counts = errors.torques_by_speed(0, each["joint"] - 1)
-                k = get_args(Speed).index(each["speed"])
-                yield from against(each["speed"], each, each["rms"], False, by_run(squares[k], counts[k]))
-        else:
-            continue
-        yield from against(one["use"], one, one["figure"], one["supported"], measured)
-
-
 @kept
 def outcome(case: PlannedCase) -> Outcome:
     """The leg, fitted, diagnosed, and held against its last runs."""
@@ -123,30 +60,38 @@ def outcome(case: PlannedCase) -> Outcome:
             return Outcome(*about, f"not made: {error}")
         place = folder / case.name
         runs = [place / f"r{k}.csv" for k in range(1, FITTED + NEW + 1)]
-        rig, stated = ("--rig", place / "rig.toml"), {}
+        rig, stated = place / "rig.toml", {}
         answers, models = ({label: folder / f"{label}{end}" for label in (NOMINAL, EXTENDED)}
                            for end in (".json", ".model.json"))
         for verb, label in (("fit", NOMINAL), ("diagnose", EXTENDED)):
-            said = command([verb, *runs[:FITTED], *rig, "--json", answers[label], "--model-out", models[label]], folder)
+            command = (f"legid {verb} {words(runs[:FITTED])} --rig {rig} --json {answers[label]} "
+                       f"--model-out {models[label]}")
+            done = typed(command, folder)
             if answers[label].exists() and models[label].exists():
                 stated[label] = json.loads(answers[label].read_text())
             elif label == NOMINAL:
-                return Outcome(*about, said)
+                return Outcome(*about, answer(command, done))
         held = list[Held]()
         for label, found in stated.items():
             try:
-                held += on_new_runs(label, found["uses"], models[label], rig[1], runs[:FITTED], runs[FITTED:])
+                held += on_new_runs(label, found["uses"], models[label], rig, runs[:FITTED], runs[FITTED:])
             except (FitError, WorkError, ValueError) as error:
                 tell(case.name, label, error)
         ratios = {}
         if EXTENDED in stated and load_model(models[EXTENDED]).effects:
             seen = [place / name for name in stated[EXTENDED]["runs"]["fit"]]
-            command(["fit", *seen, *rig, "--model-out", "nominal.json"], folder)
             both = folder / "both.json"
-            command(["compare", models[EXTENDED], "nominal.json", *runs[FITTED:], *rig, "--json", both], folder)
+            typed(f"legid fit {words(seen)} --rig {rig} --model-out nominal.json", folder)
+            typed(f"legid compare {models[EXTENDED]} nominal.json {words(runs[FITTED:])} --rig {rig} --json {both}",
+                  folder)
             ratios = gains(json.loads(both.read_text())["errors"]) if both.exists() else {}
         verdict = stated.get(EXTENDED, {}).get("verdict", "none given")
         return Outcome(*about, stated[NOMINAL]["trust"]["sentence"], verdict, tuple(held), ratios)
+
+
+def words(runs: Iterable[Path]) -> str:
+    """As a command line has them."""
+    return " ".join(map(str, runs))
 
 
 def gains(errors: Iterable[Mapping[str, Any]]) -> dict[float, tuple[float, float, float]]:

@@ -22,6 +22,7 @@ class LoadStribeckFriction(ServoFriction):
     tolerance_source = "gears with an efficiency of 98 to 99 % that start at 97 to 98 %"
     experiment = "slow reversals with a payload, and fast ones with the same"
     depends_on = "v"
+    by_hand = ""
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0

@@ -156,7 +156,8 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
                  ) -> GuessedMap:
     """The guess for a chain of joints, each with an encoder.
 
-    A chain whose torques no name tells swings freely, unless a column leaves less as the torque of a joint.
+    Where no column is a torque by its name, the chain swings freely, unless some column explains the motion better as
+    the torque of a joint.
     """
     angles = _angles(imported)
     driven = of_joints(angles, measured_columns(imported, "tau"))
