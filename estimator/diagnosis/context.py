@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from estimator.score import (
     own_inflation,
 )
 
-T = TypeVar("T")
 Progress = Callable[[str, float], None]
 Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
@@ -67,13 +66,8 @@ class DiagnosisContext:
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters and then of all candidates, one a train run"""
-    made: dict[str, list[tuple[object, Any]]] = field(default_factory=dict)
-    """See `once`"""
-    held: dict[bytes, Model] = field(default_factory=dict)
-    """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
-    and ..."""
     whole: dict[bytes, Model] = field(default_factory=dict)
-    """... of any fit to its end with shapes free; see `search.key_of`"""
+    """Start of any fit to its end with shapes free; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:
@@ -104,15 +98,6 @@ class DiagnosisContext:
     def trials(self) -> int:
         return len(self.candidates)
 
-    def once(self, what: str, of: object, make: Callable[[], T]) -> T:
-        """Result of `make` for this object, made once."""
-        kept = self.made.setdefault(what, [])
-        known: list[T] = [found for one, found in kept if one is of]
-        if not known:
-            known.append(make())
-            kept.append((of, known[0]))
-        return known[0]
-
     def gain(self, tests: ScoreTests, i: int) -> float:
         """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
         columns, open_size = self.columns[i], self.split.open_size(self.candidates[i].effect)
@@ -127,17 +112,16 @@ class DiagnosisContext:
 
 
 def scored(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
-           bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
-    """The scores of `candidates` at a nominal fit, less their `bias`, which is simulated if it is not given."""
+           share: float = MATERIAL) -> tuple[DiagnosisContext, ScoreTests]:
+    """The scores of `candidates` at a nominal fit, less their bias, which is simulated."""
     say("scoring the library", 0.15)
     scores = score_train(nominal, candidates)
-    if not bias:
-        say("simulating bootstrap replicates", 0.2)
-        try:
-            bias = bootstrap_scores(nominal, candidates, scores, rng)
-        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
-            bias = [np.zeros_like(s.score) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng,
+    say("simulating bootstrap replicates", 0.2)
+    try:
+        bias = bootstrap_scores(nominal, candidates, scores, rng)
+    except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
+        bias = [np.zeros_like(s.score) for s in scores]
+    context = DiagnosisContext(candidates, columns_of(candidates), named, bias, nominal, rng, share,
                                scores=tuple(scores))
     return context, tests_of(nominal, scores, bias)
 
@@ -225,8 +209,8 @@ def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests)
 
 def with_generic(context: DiagnosisContext, explanation: Explanation) -> Model:
     """The model of an assessed explanation with generic terms, its own where none is significant; fitted once."""
-    return context.once("generic", explanation.left, lambda: generic_extension(
-        context, explanation.model, explanation.left) or explanation.model)
+    model = explanation.model
+    return model.once("generic", lambda: generic_extension(context, model, explanation.left) or model)
 
 
 def _columns(context: DiagnosisContext, which: Sequence[int]) -> IndexArray:
@@ -254,7 +238,7 @@ def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
-    return [replace(e, **context.once("assessed", e.model, partial(assessed, context, e))) if e.left is NO_TESTS else e
+    return [replace(e, **e.model.once("assessed", partial(assessed, context, e))) if e.left is NO_TESTS else e
             for e in explanations]
 
 

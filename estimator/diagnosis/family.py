@@ -90,7 +90,7 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
     tried = (NOMINAL,) if family.answer is None else (NOMINAL, family.answer.row)
     family = replace(family, hidden=tuple(h for row in tried if (h := hidden_motion(rows, row)) is not None))
     told = tuple(with_clock(context, a.best[0]) for a in (family.answer, family.second) if a is not None)
-    noise = noise_of(context, largest or context.nominal)
+    noise = noise_of(largest or context.nominal)
     return FittedFamily(family, tuple(rows.models), tried[-1], noise, tried, told)
 
 

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,9 +17,7 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
     MAX_ITERATIONS,
-    Policies,
     converge_motion,
-    descend,
     free_mask,
     gentle_start,
     iterate,
@@ -27,7 +26,6 @@ from estimator.fitting import (
     start_state,
 )
 from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State, log_marginal
-from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
     SHORT_S,
@@ -43,8 +41,7 @@ from estimator.prediction import (
 from estimator.score import Score, ScoreTests, project, score_alone, score_at, total
 from estimator.signals import SignalSet
 
-SMOOTHING_STEPS = 12
-"""Most steps for the friction smoothing velocities, from the end of a fit."""
+T = TypeVar("T")
 FIRST = 12
 """Steps of a gentle start in which beta is held, so that motion and noise levels come to it first."""
 
@@ -58,6 +55,15 @@ class Model:
     problem: LatentProblem
     nuisances: int = 0
     """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
+    made: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """See `once`"""
+
+    def once(self, what: str, make: Callable[[], T]) -> T:
+        """Result of `make`, which `what` names; made once for this model."""
+        if what not in self.made:
+            self.made[what] = make()
+        found: T = self.made[what]
+        return found
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -147,12 +153,6 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
     return replace(found, split=split.with_stiction(stiction_of_test(found)))
 
 
-def nearby(model: Model) -> State:
-    """State from which a nominal fit of other readings of the same samples begins."""
-    state = model.state
-    return replace(state, beta=state.beta[: model.problem.mechanism.p], noise=state.noise.levels(), converged=False)
-
-
 def stiction_of_test(model: Model) -> dict[int, FloatArray]:
     """Test run to `Noise.stiction` as the model has it, of runs of which it is not known; without those that it
     cannot be fitted to."""
@@ -219,21 +219,6 @@ def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> Stat
         found.append(converge_motion(own, replace(state, x=state.x.of(here), noise=state.noise.at(here))).x)
     q, v, u = (np.concatenate([getattr(x, name) for x in found]) for name in ("q", "v", "u"))
     return replace(state, x=Latents(q, v, u))
-
-
-def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
-    """`stated` with the friction smoothing velocities estimated on the train runs together with `model`'s effects.
-
-    Without the effects a larger smoothing velocity absorbs part of them. Raises `FitError`.
-    """
-    split = replace(model.split, mechanism=stated, stiction={})
-    problem = split.problem(split.train, model.problem.stage.angle_range, model.effects)
-    state = model.state
-    free = np.ones(state.beta.size, dtype=bool)
-    free[: stated.p] = free_mask(stated, split.options)[0]
-    floors = split.floors(problem, state.beta[: stated.p])
-    found = descend(problem, state, free, Policies.of(split.options, floors, seeks_smoothing=True), SMOOTHING_STEPS)
-    return problem.smoothed_over(found.smoothing).mechanism
 
 
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:

@@ -31,12 +31,12 @@ def floor_of_best(context: DiagnosisContext, best: Sequence[Explanation]) -> Flo
 
 
 def _floor(context: DiagnosisContext, unit: Model, extended: Model) -> Floor:
-    return unit, context.once("floor", unit, lambda: floors_of(unit, noise_of(context, extended), context.rng))
+    return unit, unit.once("floor", lambda: floors_of(unit, noise_of(extended), context.rng))
 
 
-def noise_of(context: DiagnosisContext, model: Model) -> FloorNoise:
+def noise_of(model: Model) -> FloorNoise:
     """`noise_floor` of a model."""
-    return context.once("noise", model, lambda: noise_floor(model))
+    return model.once("noise", lambda: noise_floor(model))
 
 
 def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: Floor | None = None
@@ -56,7 +56,7 @@ def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: 
 def left_out_runs(context: DiagnosisContext, model: Model, scores: Sequence[Score], runs: Sequence[int]
                   ) -> dict[int, PredictedRun]:
     """Each of these train `runs` as predicted by the fit of `model` without its fold; each fold once."""
-    known = context.once("left out", model, dict[int, PredictedRun])
+    known = model.once("left out", dict[int, PredictedRun])
     missing = [fold for fold in context.split.inner if set(fold) & set(runs) and not set(fold) <= known.keys()]
     own = scores if scores or not missing else score_train(model, ())
     for found in parallel_map(lambda k: predicted_left_out(model, own, missing[k]), len(missing),
