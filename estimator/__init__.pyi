@@ -10,6 +10,7 @@ from .methods import Method as Method
 from .options import FitOptions as FitOptions
 from .parallel import SAFE_PATH as SAFE_PATH
 from .parallel import cores as cores
+from .parallel import parallel_map as parallel_map
 from .parallel import worker_pool as worker_pool
 from .result import MOST_DISAGREEMENT as MOST_DISAGREEMENT
 from .result import RESIDUAL_LAGS as RESIDUAL_LAGS

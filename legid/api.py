@@ -205,7 +205,7 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     if against is not None:
         return _change_since(given, against, known)
     before = None if reference is None else as_model(reference, "reference")
-    prepared = prepare(given, with_terms_of(known.rig, before and before.model), fixed=fixed)
+    prepared = prepare(given, with_terms_of(known.rig, before and before.model), fixed=fixed, workers=workers)
     values = None if before is None else reference_values(before.model, before.where, prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
     return Diagnosis.made_from(found, prepared, given, known.rig, origin_from(

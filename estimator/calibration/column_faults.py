@@ -140,7 +140,7 @@ def _best_gear(motion: Motion, mechanism: Mechanism, options: FitOptions, joint:
 
     left = [np.inf if reading.faults else reading.left for reading in at(factors)]
     best = int(np.argmin(left))
-    if best in (0, len(left) - 1):
+    if best in (0, len(left) - 1) or abs(np.log(factors[best])) < NEAR_ONE:
         return None
     fine = min(at(np.geomspace(factors[best - 1], factors[best + 1], FINE)), key=lambda reading: reading.left)
     return None if abs(np.log(fine.remedy.angles[joint, joint])) < NEAR_ONE else fine

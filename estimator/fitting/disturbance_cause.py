@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from daq import BoolArray
 from estimator.effects import Effect
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.disturbance import (
@@ -17,13 +16,10 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.loop_terms import extended
+from estimator.fitting.extension import Fitted, extend, extended
 from estimator.fitting.omitted_effects import small_effects, with_candidates
 from estimator.free_runs import FittedModel
-from estimator.likelihood import LatentProblem, State
-from estimator.options import FitOptions
+from estimator.likelihood import LatentProblem
 from estimator.score import columns_of, project, score_at
 from estimator.signals import SignalSet
 
@@ -33,23 +29,19 @@ TRIED = 4
 """Effects that are tried, by the likelihood that their scores promise."""
 
 
-def cause_of_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
-                         options: FitOptions, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
+def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
     """The listed effect that leaves less than MOST_LEFT of the slow part of a disturbance; None: there is none.
 
-    `problem` and `state` are the fit without it, `disturbed` has it and the fit's model. Effects whose scores promise
+    `fitted` is without it, `disturbed` has it and the fit's model. Effects whose scores promise
     most are fitted in its place, and the likeliest disturbance is sought anew with each. One with which a second is
     predicted worse explains nothing: the fit without a disturbance may have gone astray, and the disturbance is small
     there.
     """
-    found, kept = disturbed
-    for effect in _promising(problem, state, signals, free, options):
-        wide, sizes, shapes = extended(problem, signals, [effect]), np.zeros(len(effect.sizes)), effect.usual or ()
-        begin = State(state.x, np.concatenate([state.beta, sizes, shapes]), state.noise.levels(),
-                      np.zeros((state.beta.size + effect.count,) * 2))
+    (problem, _, signals, _, options), (found, kept) = fitted, disturbed
+    for effect in _promising(fitted):
+        size = np.append(np.zeros(len(effect.sizes)), effect.usual or ())
         try:
-            sought = np.concatenate([free, np.ones(sizes.size, dtype=bool), np.zeros(len(shapes), dtype=bool)])
-            again = iterate(wide, begin, sought, options, noise_floors(wide, wide.mechanism, state.beta))
+            wide, again = extend(fitted, ((effect, size),), np.arange(size.size) < len(effect.sizes))
             likelihood = disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect))
             left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
         except FIT_ERRORS:
@@ -74,9 +66,9 @@ def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalS
     return extended(problem, parts, [effect]).with_disturbance()
 
 
-def _promising(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
-               options: FitOptions) -> list[Effect]:
+def _promising(fitted: Fitted) -> list[Effect]:
     """Effects of usual shapes whose scores promise most likelihood, the first TRIED."""
+    problem, state, signals, free, options = fitted
     candidates = small_effects(problem)
     if not candidates:
         return []

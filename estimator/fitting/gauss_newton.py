@@ -17,14 +17,12 @@ from estimator.fitting.damping import SwingDamping, shortened
 from estimator.fitting.newton_step import DIVERGED, Step, Taken, newton_step
 from estimator.fitting.noise_update import NoiseUpdate
 from estimator.fitting.prior import Known, Prior, prior_at
-from estimator.fitting.stopping import TOLERANCE, SmallSteps
+from estimator.fitting.stopping import SmallSteps
 from estimator.likelihood import LatentProblem, Latents, Linearised, Noise, State
 from estimator.numerics import Swept, eliminate
 from estimator.options import FitOptions
 
 MAX_ITERATIONS = 60
-ANGLE_TOLERANCE = 1e-6
-"""Movement of an angle [rad] that counts as a step of TOLERANCE where no parameter is free."""
 MARGIN = 1.1
 """Factor on the misfit that a step predicts at the samples: the Gauss points add to it, and it may still grow."""
 LEAST_VARIANCE = 1e-300
@@ -152,7 +150,7 @@ def _move(problem: LatentProblem, state: State, step: Step, index: IndexArray, s
     if not np.isfinite(state.beta).all():
         raise FitError(DIVERGED)
     if not index.size:
-        return float(np.max(np.abs(angles))) / ANGLE_TOLERANCE * TOLERANCE
+        return 0.0  # the levels alone end it: single angles can swing for ever, at the knots of a table
     std = np.sqrt(np.maximum(np.diag(step.covariance), LEAST_VARIANCE))
     return damping * float(np.max(np.abs(step.beta) / std))
 

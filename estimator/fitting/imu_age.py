@@ -14,11 +14,10 @@ import numpy as np
 from daq import BoolArray, FloatArray
 from estimator.effects import SensorTimeSkew
 from estimator.fit_errors import FIT_ERRORS
-from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.extension import Fitted, extend, without_sizes
 from estimator.fitting.initial_guess import start_motions
-from estimator.fitting.loop_terms import extended
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
-from estimator.likelihood import LatentProblem, Noise, State
+from estimator.likelihood import State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import TWO_SIDED
@@ -64,10 +63,8 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
-               options: FitOptions, floors: Noise, bound_s: float, age_s: float = 0.0
-               ) -> tuple[State, float | None, str]:
-    """`state` with the IMU's time line free against the controller's, and a sentence about it.
+def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0) -> tuple[State, float | None, str]:
+    """The fit with the IMU's time line free against the controller's, and a sentence about it.
 
     `bound_s` is 0 where no clock says how late the readings are; they were moved by `age_s` already.
 
@@ -75,15 +72,13 @@ def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], fr
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    wide = extended(problem, signals, (SensorTimeSkew(),))
-    again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
-    again = iterate(wide, again, np.append(free, True), options, floors)
+    state, again = fitted.state, extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool))[1]
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     late = skew + age_s
     if bound_s == 0.0:
         told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
                 f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
-        return (_skewed(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
+        return (without_sizes(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
             state, None, "this motion does not determine how late the IMU is")
     if not again.converged or std > bound_s:
         return state, None, (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the "
@@ -94,13 +89,7 @@ def with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], fr
                              "something else is wrong: run legid diagnose")
     told = (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
             f"(known: within {bound_s * 1e6:.0f} us); corrected")
-    return _skewed(state, again), skew, told
-
-
-def _skewed(state: State, again: State) -> State:
-    """The state of the fit with a skew, after that of `state`, without the skew."""
-    return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
-                 state.iterations + again.iterations)
+    return without_sizes(state, again), skew, told
 
 
 def _late(skew_s: float) -> str:

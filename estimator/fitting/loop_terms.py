@@ -8,14 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import BoolArray, FloatArray, Loop
+from daq import Loop
 from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
 from estimator.fit_errors import FIT_ERRORS
-from estimator.fitting.gauss_newton import iterate
-from estimator.fitting.initial_guess import noise_floors
+from estimator.fitting.extension import Extra, Fitted, extend, without_sizes
 from estimator.fitting.latent_motion import marginal_of
-from estimator.likelihood import LatentProblem, Stage, State
-from estimator.options import FitOptions
+from estimator.likelihood import LatentProblem, State
 from estimator.result import TWO_SIDED, LoopTerm
 from estimator.score import Score, robust_covariance
 from estimator.signals import SignalSet
@@ -31,10 +29,6 @@ UNLIMITED = 1e6
 """Limit from which on a loop has none"""
 LEAST_GAIN, SURE = 0.01, 3.3
 """Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
-Extra = tuple[tuple[Effect, FloatArray], ...]
-"""Terms that are estimated with a fit, and are none of its parameters."""
-
-
 class Loops(NamedTuple):
     """A fit with the terms of its loops."""
 
@@ -44,27 +38,6 @@ class Loops(NamedTuple):
     """With them"""
     extra: Extra = ()
     terms: tuple[LoopTerm, ...] = ()
-
-
-class Fitted(NamedTuple):
-    """A fit that loops are added to."""
-
-    problem: LatentProblem
-    state: State
-    signals: Sequence[SignalSet]
-    free: BoolArray
-    options: FitOptions
-
-
-def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect]) -> LatentProblem:
-    """The likelihood of segments as `problem` has it, with effects; the range of angles is that of the encoders."""
-    seen = problem.angles[:, problem.has_encoder]
-    reach = np.zeros((problem.n, 2))
-    reach[problem.has_encoder] = np.stack([seen.min(axis=0), seen.max(axis=0)], axis=-1)
-    blank = Stage.blank(len(signals), problem.n)
-    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, replace(blank, angle_range=reach),
-                          effects)
-    return found.with_disturbance() if problem.disturbed else found
 
 
 def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False) -> Loops:
@@ -79,25 +52,19 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
            if (start := _start(fitted, key, j)) is not None]
     if not own:
         return plain
-    held = np.array([unlimited and key == "limit" for key, *_ in own])
-    effects, starts = [KINDS[key](j) for key, j, _ in own], np.where(held, UNLIMITED, [start for *_, start in own])
-    wide, count = extended(fitted.problem, fitted.signals, effects), len(own)
-    begin = State(state.x, np.append(state.beta, starts), state.noise.levels(),
-                  np.zeros((state.beta.size + count,) * 2))
+    held, count = np.array([unlimited and key == "limit" for key, *_ in own]), len(own)
+    starts = np.where(held, UNLIMITED, [start for *_, start in own])
+    effects = [KINDS[key](j) for key, j, _ in own]
     try:
-        again = iterate(wide, begin, np.append(fitted.free, ~held), fitted.options,
-                        noise_floors(wide, wide.mechanism, state.beta))
+        wide, again = extend(fitted, tuple(zip(effects, starts[:, None])), ~held)
     except FIT_ERRORS:
         return plain
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
     if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
         return plain
-    p = state.beta.size
-    short = State(again.x, again.beta[:p], again.noise, again.covariance[:p, :p], True,
-                  state.iterations + again.iterations, misfit=again.misfit)
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
                   for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
-    return Loops(short, (wide, again), tuple((effect, np.array([size])) for effect, size in zip(effects, sizes)), terms)
+    return Loops(without_sizes(state, again), (wide, again), tuple(zip(effects, sizes[:, None])), terms)
 
 
 def _believed(one: tuple[str, int, float], size: float) -> bool:

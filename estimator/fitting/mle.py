@@ -27,12 +27,13 @@ from estimator.fitting.disturbance import (
     predicts_worse,
 )
 from estimator.fitting.disturbance_cause import cause_of_disturbance
+from estimator.fitting.extension import Extra, Fitted
 from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion, marginal_of
-from estimator.fitting.loop_terms import Extra, Fitted, extended, scattered, with_loop_terms
+from estimator.fitting.loop_terms import scattered, with_loop_terms
 from estimator.fitting.motion_search import search_hold, without_age
 from estimator.fitting.noise_levels import (
     colour,
@@ -95,25 +96,25 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
     state = with_unseen_torque(problem, state, free, options)
     problem, state, cause = _with_disturbance(problem, state, signals, free, options)
-    loops = with_loop_terms(Fitted(problem, state, signals, free, options), options.unknown_loop)
+    fitted = Fitted(problem, state, signals, free, options)
+    loops = with_loop_terms(fitted, options.unknown_loop)
     state, extra = loops.state, loops.extra
     skew, found = None, None
     aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
     if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
-        floors = noise_floors(problem, mechanism, state.beta)
-        state, skew, found = with_skew(problem, state, signals, free, options, floors, bound_s, age_s)
+        state, skew, found = with_skew(fitted._replace(state=state), bound_s, age_s)
     if age_s and skew is None:
         return None
     if skew is not None:
         extra = ((SensorTimeSkew(), np.array([skew])),)
     if state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
-        moved = converge_motion(*_with_extra(problem, state, signals, extra))
+        moved = converge_motion(*fitted._replace(state=state).with_sizes(extra))
         state = replace(state, x=moved.x, noise=moved.noise)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = replace(result, loop=loops.terms)
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result = _with_scores(result, problem, signals, state, free, extra, options)
+            result = _with_scores(result, fitted._replace(state=state), extra)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
@@ -191,27 +192,17 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
     bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (plain[1], state))
     if problem.disturbed and predicts_worse(signals, options, bare, kept):
         return plain
-    cause = cause_of_disturbance(*plain[:2], signals, free, options, (begin, kept)) if problem.disturbed else None
+    bare_fit = Fitted(*plain[:2], signals, free, options)
+    cause = cause_of_disturbance(bare_fit, (begin, kept)) if problem.disturbed else None
     return (problem, state, None) if cause is None else (*plain[:2], cause)
 
 
-def _with_extra(problem: LatentProblem, state: State, signals: list[SignalSet], extra: Extra
-                ) -> tuple[LatentProblem, State]:
-    """The fit with the terms that are none of its parameters."""
-    if not extra:
-        return problem, state
-    more = [size for _, size in extra]
-    return (extended(problem, signals, [effect for effect, _ in extra]),
-            replace(state, beta=np.concatenate([state.beta, *more])))
-
-
-def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                 free: BoolArray, extra: Extra, options: FitOptions) -> FitResult:
+def _with_scores(result: FitResult, fitted: Fitted, extra: Extra) -> FitResult:
     """`result` with all that one score of each run says.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
-    problem, state = _with_extra(problem, state, signals, extra)
+    (problem, state), (_, _, signals, free, options) = fitted.with_sizes(extra), fitted
     free = np.append(free, np.ones(state.beta.size - free.size, dtype=bool))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()

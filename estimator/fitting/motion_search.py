@@ -14,11 +14,12 @@ import numpy as np
 
 from daq import BoolArray, Dataset, FloatArray
 from estimator.errors import FitError
+from estimator.fitting.extension import Fitted
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.imu_age import rough_age
 from estimator.fitting.initial_guess import noise_floors, start_state
-from estimator.fitting.loop_terms import Fitted, find_loop_terms
+from estimator.fitting.loop_terms import find_loop_terms
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask

@@ -46,9 +46,7 @@ def smooth_segments(model: FittedModel, run: str, signals: Sequence[SignalSet], 
     state = State(begin.x, beta, begin.noise.levels(), np.zeros((beta.size,) * 2))
     floors = noise_floors(problem, mechanism, model.beta)
     state = iterate(problem, state, np.zeros(beta.size, dtype=bool), options, floors)
-    if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
-        state = converge_motion(problem, state)
-    return SmoothedRun(run, tuple(signals), problem, state)
+    return SmoothedRun(run, tuple(signals), problem, converge_motion(problem, state))
 
 
 def smooth_under(problem: LatentProblem, begin: State, near: bool = False) -> State:

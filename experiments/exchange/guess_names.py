@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from daq import BoolArray, Column, FloatArray, InputError
 from daq.runs import MOST, unwrapped_counter
@@ -194,6 +193,8 @@ def _not_a_clock(values: FloatArray) -> str:
 
 def of_joints(angles: Sequence[str], others: Sequence[str]) -> dict[int, str]:
     """Joint from 0 -> its torque or command, by the words and numbers that a name shares with that of an angle."""
+    from scipy.optimize import linear_sum_assignment  # 0.1 s to import, which a file in legid's own columns saves
+
     if not others:
         return {}
     shared = _shared(angles, others)

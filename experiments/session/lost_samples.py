@@ -8,25 +8,28 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset, ReadingFault
-from estimator import FIT_ERRORS, FitOptions
+from estimator import FIT_ERRORS, FitOptions, parallel_map
 from estimator.calibration import find_lost, lost_text, unexplained_start, without_loss
 from estimator.model import Mechanism
+from estimator.numerics import load_compiler
 from estimator.signals import is_plain
 
 MOST_PLACES = 3
 """Places in one run that are corrected."""
 
 
-def with_lost_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[Dataset, ...]:
-    """The runs, those with lost or doubled samples corrected, each place a fault of the readings.
+def with_lost_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, workers: int = 1
+                      ) -> tuple[Dataset, ...]:
+    """The runs, those with lost or doubled samples corrected by `workers`, each place a fault of the readings.
 
     Not where samples were averaged: what one channel lost is no whole number of those. (On a real record, averaged from
     500 to 25 samples a second, three samples were moved that were never lost; none on the record's own grid.)
     """
     if not is_plain(mechanism, options):
         return tuple(datasets)
-    return tuple(data if any(flag.kind == "grid" for flag in data.flags) else _corrected(data, mechanism, options)
-                 for data in datasets)
+    load_compiler()  # once for all processes
+    return tuple(parallel_map(lambda k: datasets[k] if any(flag.kind == "grid" for flag in datasets[k].flags) else
+                              _corrected(datasets[k], mechanism, options), len(datasets), workers))
 
 
 def without_starts(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[Dataset, ...]:

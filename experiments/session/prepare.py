@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, Rig
+from estimator import cores
 from experiments.models import Model
 from experiments.session.choices import Choice, choose_terms, with_choices
 from experiments.session.flags import RunFlag, flags_of
@@ -45,7 +46,8 @@ class Prepared:
 
 
 def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,
-            latent: str = "trajectory", model: Model | None = None, choose: bool = False) -> Prepared:
+            latent: str = "trajectory", model: Model | None = None, choose: bool = False, workers: int | None = 1
+            ) -> Prepared:
     """The runs (files, or data sets) of a rig, ready for any verb, in their order.
 
     Every verb leaves out the runs that cannot be used. The flags say in what verbs differ:
@@ -53,7 +55,8 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     - `choose`: entries that the rig file leaves open are chosen by the records (fit, tune);
     - `model`: by its parameters encoders' zeros are found, and it has the terms that `rig` leaves open (validate,
       compare);
-    - `sensors`, `fixed`, `latent`: as the command line gives them.
+    - `sensors`, `fixed`, `latent`: as the command line gives them;
+    - `workers`: forked processes, None: one a core (diagnose).
 
     Raises `InputError` for a run or a rig that cannot be read, and `FitError` where no run is left, or zeros or steps
     cannot be found.
@@ -62,7 +65,8 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     datasets = as_datasets(runs, rig)
     bare = setup_of(datasets, unzeroed(rig), sensors, fixed)
     known_zeros = with_step_zeros(bare.datasets, bare.mechanism, bare.options)
-    in_time = without_starts(with_lost_samples(known_zeros, bare.mechanism, bare.options), bare.mechanism, bare.options)
+    in_time = without_starts(with_lost_samples(known_zeros, bare.mechanism, bare.options, workers or cores()),
+                             bare.mechanism, bare.options)
     kept, gone = usable_runs(in_time, bare.mechanism, bare.options)
     if rig.sampling.as_read:
         kept, gone = tuple(replace(data, readings=tuple(replace(fault, done="kept") for fault in told.readings))

@@ -1,0 +1,63 @@
+"""`extend`: a fit with effects that are none of its parameters, estimated together with these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import BoolArray, FloatArray
+from estimator.effects import Effect
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.initial_guess import noise_floors
+from estimator.likelihood import LatentProblem, Stage, State
+from estimator.options import FitOptions
+from estimator.signals import SignalSet
+
+Extra = tuple[tuple[Effect, FloatArray], ...]
+"""Terms that are estimated with a fit, and are none of its parameters."""
+
+
+class Fitted(NamedTuple):
+    """A fit that terms are added to."""
+
+    problem: LatentProblem
+    state: State
+    signals: list[SignalSet]
+    free: BoolArray
+    options: FitOptions
+
+    def with_sizes(self, extra: Extra) -> tuple[LatentProblem, State]:
+        """Its problem and state with terms of some size."""
+        if not extra:
+            return self.problem, self.state
+        beta = np.concatenate([self.state.beta, *(size for _, size in extra)])
+        return extended(self.problem, self.signals, [effect for effect, _ in extra]), replace(self.state, beta=beta)
+
+
+def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect]) -> LatentProblem:
+    """The likelihood of segments as `problem` has it, with effects; the range of angles is that of the encoders."""
+    seen = problem.angles[:, problem.has_encoder]
+    reach = np.zeros((problem.n, 2))
+    reach[problem.has_encoder] = np.stack([seen.min(axis=0), seen.max(axis=0)], axis=-1)
+    blank = Stage.blank(len(signals), problem.n)
+    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, replace(blank, angle_range=reach),
+                          effects)
+    return found.with_disturbance() if problem.disturbed else found
+
+
+def extend(fitted: Fitted, extra: Extra, sought: BoolArray) -> tuple[LatentProblem, State]:
+    """Problem and fit with terms, from their sizes, of which those `sought` (m,) are free. Raises `FitError`."""
+    wide, begin = fitted.with_sizes(extra)
+    begin = replace(begin, noise=begin.noise.levels(), covariance=np.zeros((begin.beta.size,) * 2))
+    return wide, iterate(wide, begin, np.append(fitted.free, sought), fitted.options,
+                         noise_floors(wide, wide.mechanism, fitted.state.beta))
+
+
+def without_sizes(before: State, again: State) -> State:
+    """The state of a fit with terms, which followed that `before`, without their sizes."""
+    p = before.beta.size
+    return replace(again, beta=again.beta[:p], covariance=again.covariance[:p, :p],
+                   iterations=before.iterations + again.iterations)
