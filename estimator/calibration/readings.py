@@ -234,8 +234,8 @@ def slow_rows(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy:
     """
     q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
     q, still = q + remedy.zero, np.zeros_like(q)
-    quarter, heavy = 0.5 * np.pi * np.eye(mechanism.n)[0], gravity_of(mechanism)
-    ahead = [mechanism.regressor(q + quarter, still, still)[..., heavy]] if unknown else []
+    ahead = [mechanism.regressor(q + 0.5 * np.pi * np.eye(mechanism.n)[0], still, still)[
+        ..., gravity_of(mechanism)]] if unknown else []
     constants = np.broadcast_to(np.eye(mechanism.n)[:, list(mechanism.actuated)], (*q.shape, len(mechanism.actuated)))
     z = np.concatenate([mechanism.regressor(q, qd, qdd), *ahead, constants], axis=2)
     free, beta = free_mask(mechanism, options)

@@ -16,7 +16,6 @@ from estimator.diagnosis.decision_rule import DECIDING_S, EDGE, REPLICATED_SAMPL
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
-    MAX_ITERATIONS,
     converge_motion,
     free_mask,
     gentle_start,
@@ -42,8 +41,6 @@ from estimator.score import Score, ScoreTests, project, score_alone, score_at, t
 from estimator.signals import SignalSet
 
 T = TypeVar("T")
-FIRST = 12
-"""Steps of a gentle start in which beta is held, so that motion and noise levels come to it first."""
 
 
 @dataclass(frozen=True)
@@ -122,21 +119,18 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
     only motion and noise levels are estimated.
     """
     signals = split.signals(split.train)
-    n = split.mechanism.n
     free, beta = free_mask(split.mechanism, split.options)
     held = np.zeros_like(free)
-    blank = split.problem(split.train, np.zeros((n, 2)))
-    ways: list[tuple[Callable[..., State], list[BoolArray]]] = [
-        (start_state, [free]), (gentle_start, [held, free]), (start_state, [held])]
+    blank = split.problem(split.train, np.zeros((split.mechanism.n, 2)))
+    ways: list[tuple[Callable[..., State], BoolArray]] = [
+        (start_state, free), (gentle_start, free), (start_state, held)]
     if near is not None and len(near.x.q) == blank.total:
-        ways[0] = lambda *_: near, [] if near.converged else [free]
-    for start, steps in ways:
+        ways[0] = lambda *_: near, free
+    for start, freed in ways:
         state = start(blank, signals, split.mechanism, split.options, free, beta)
         floors = split.floors(blank, state.beta)
         try:
-            for freed in steps:
-                steps_left = MAX_ITERATIONS if freed is steps[-1] else FIRST
-                state = iterate(blank, state, freed, split.options, floors, steps_left)
+            state = state if state is near and near.converged else iterate(blank, state, freed, split.options, floors)
         except FitError:
             continue
         if state.converged and not mistaken_torques(blank, state, floors):
@@ -146,7 +140,7 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
         raise FitError("the nominal fit does not converge, so its residual cannot be tested")
     split = split.with_stiction({i: rest[here] for i, here in split.parts})
     state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()))
-    if steps is ways[-1][1]:
+    if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     found = Model(split, state, split.problem(split.train, angle_range))

@@ -94,29 +94,30 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     problem, state, chosen = search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
-    state = with_unseen_torque(problem, state, free, options)
-    problem, state, cause = _with_disturbance(problem, state, signals, free, options)
     fitted = Fitted(problem, state, signals, free, options)
+    fitted, cause = _with_disturbance(fitted._replace(state=with_unseen_torque(fitted)))
     loops = with_loop_terms(fitted, options.unknown_loop)
-    state, extra = loops.state, loops.extra
+    fitted, extra, problem = fitted._replace(state=loops.state), loops.extra, fitted.problem
     skew, found = None, None
     aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
     if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
-        state, skew, found = with_skew(fitted._replace(state=state), bound_s, age_s)
+        state, skew, found = with_skew(fitted, bound_s, age_s)
+        fitted = fitted._replace(state=state)
     if age_s and skew is None:
         return None
     if skew is not None:
         extra = ((SensorTimeSkew(), np.array([skew])),)
-    if state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
-        moved = converge_motion(*fitted._replace(state=state).with_sizes(extra))
-        state = replace(state, x=moved.x, noise=moved.noise)
+    if fitted.state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
+        moved = converge_motion(*fitted.with_sizes(extra))
+        fitted = fitted._replace(state=replace(fitted.state, x=moved.x, noise=moved.noise))
+    state = fitted.state
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = replace(result, loop=loops.terms)
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result = _with_scores(result, fitted._replace(state=state), extra)
+            result = _with_scores(result, fitted, extra)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
-    result = replace(result, prior=prior, prior_conflict=_conflict(problem, state, result, free, options))
+    result = replace(result, prior=prior, prior_conflict=_conflict(fitted, result))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
@@ -138,12 +139,12 @@ def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | No
             "value for each zero crossing of the velocity")
 
 
-def _conflict(problem: LatentProblem, state: State, result: FitResult, free: BoolArray, options: FitOptions
-              ) -> float:
+def _conflict(fitted: Fitted, result: FitResult) -> float:
     """Standard deviations by which prior and runs disagree; 0 without a prior.
 
     sqrt(fall of -2 log p without the prior / number of known values), over the scatter between runs.
     """
+    problem, state, _, free, options = fitted
     if not options.prior:
         return 0.0
     floors, begin = noise_floors(problem, result.mechanism, state.beta), replace(state, noise=state.noise.levels())
@@ -160,14 +161,13 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: Boo
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
-def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: BoolArray,
-                      options: FitOptions) -> tuple[LatentProblem, State, Effect | None]:
+def _with_disturbance(fitted: Fitted) -> tuple[Fitted, Effect | None]:
     """The fit with coloured disturbances at the joints that ask for one, and the effect that explains them instead.
 
     The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
     does not converge, where its parameters predict worse, and where a listed effect explains most of them.
     """
-    plain = problem, state, None
+    (problem, state, signals, free, options), plain = fitted, (fitted, None)
     if not state.converged or suits(signals, problem.mechanism, options) or options.torque_correlation:
         return plain
     begin = of_noise(state.noise)
@@ -189,12 +189,11 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
         if not state.converged:
             return plain
     mechanism, hold = problem.mechanism, problem.collocation.hold
-    bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (plain[1], state))
+    bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (fitted.state, state))
     if problem.disturbed and predicts_worse(signals, options, bare, kept):
         return plain
-    bare_fit = Fitted(*plain[:2], signals, free, options)
-    cause = cause_of_disturbance(bare_fit, (begin, kept)) if problem.disturbed else None
-    return (problem, state, None) if cause is None else (*plain[:2], cause)
+    cause = cause_of_disturbance(fitted, (begin, kept)) if problem.disturbed else None
+    return (fitted._replace(problem=problem, state=state), None) if cause is None else (fitted, cause)
 
 
 def _with_scores(result: FitResult, fitted: Fitted, extra: Extra) -> FitResult:

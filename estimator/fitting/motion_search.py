@@ -6,7 +6,7 @@ every verb begins with. `find_loop` wants values of loops alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from estimator.fitting.extension import Fitted
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.imu_age import rough_age
-from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.loop_terms import find_loop_terms
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.warm_start import from_excerpt
@@ -100,7 +100,10 @@ def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOpti
 
 def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
-    """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
+    """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any.
+
+    A search that fails starts again from slow motion. Raises `FitError`.
+    """
     problem = LatentProblem(signals, mechanism, options.hold)
     seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     if suits(signals, mechanism, options):
@@ -108,16 +111,26 @@ def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOp
         spread = None if problem.spread is None else problem.spread[None]
         return problem, state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
                                         Records(problem.angles[None], problem.torque[None], spread)), 0, noise)
-    if near is None:
-        state = start_state(problem, signals, mechanism, options, free, beta)
-        floors = noise_floors(problem, mechanism, state.beta)
-        state = from_excerpt(problem, signals, options, free, state, seeks_smoothing) or state
-    else:
-        state = replace(near, noise=near.noise.levels(), converged=False)
-        floors = noise_floors(problem, mechanism, near.beta)
-    state = descend(problem, state, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
-    refuse_collapse(problem, state, mechanism)
-    return problem.smoothed_over(state.smoothing), state
+    begin = start_state(problem, signals, mechanism, options, free, beta) if near is None else replace(
+        near, noise=near.noise.levels())
+    floors = noise_floors(problem, mechanism, begin.beta)
+    warm = from_excerpt(problem, signals, options, free, begin, seeks_smoothing) if near is None else None
+    starts: tuple[Callable[[], State], ...] = (
+        lambda: warm or begin, lambda: gentle_start(problem, signals, mechanism, options, free, beta))
+    found: State | None = None
+    for start in starts:
+        try:
+            state = descend(problem, start(), free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
+            refuse_collapse(problem, state, mechanism)
+        except FitError as error:
+            failure = error
+            continue
+        found = state if found is None or state.converged else found
+        if state.converged:
+            break
+    if found is None:
+        raise failure
+    return problem.smoothed_over(found.smoothing), found
 
 
 def refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:

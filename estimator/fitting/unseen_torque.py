@@ -17,13 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import BoolArray
 from estimator.fit_errors import FIT_ERRORS
+from estimator.fitting.extension import Fitted
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import marginal_of
 from estimator.likelihood import LatentProblem, Noise, State
-from estimator.options import FitOptions
 
 MOVES = 0.85
 """Noise level over the activity of neighbouring samples, below which a part of that activity is motion. (Of white noise
@@ -31,8 +30,9 @@ alone it is 0.9 to 1.1 on legs under a plan, and 0.55 to 0.73 under a PD loop of
 alone: on eight legs of MuJoCo the likelihood keeps nothing where every fit is asked."""
 
 
-def with_unseen_torque(problem: LatentProblem, state: State, free: BoolArray, options: FitOptions) -> State:
-    """The fit with torque that no sample shows at every driven joint; `state` where nothing asks for it."""
+def with_unseen_torque(fitted: Fitted) -> State:
+    """The fit with torque that no sample shows at every driven joint; as it was where nothing asks for it."""
+    problem, state, _, free, options = fitted
     mechanism = problem.mechanism
     joints = [j for j in mechanism.actuated if options.torque_noise(j, True) is None]
     floors = noise_floors(problem, mechanism, state.beta)

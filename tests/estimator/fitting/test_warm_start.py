@@ -1,13 +1,15 @@
 """A long record's fit from an excerpt: the same answer in fewer steps, and no excerpt where none would do."""
 
+from typing import Any
+
 import numpy as np
-from pytest import MonkeyPatch
+from pytest import MonkeyPatch, mark
 
 from daq import Dataset
-from estimator import FitOptions, fit
-from estimator.fitting import motion_search, warm_start
+from estimator import FitError, FitOptions, fit
+from estimator.fitting import descend, motion_search, warm_start
 from estimator.fitting.warm_start import LEAST, WORTH, excerpt
-from estimator.likelihood import LatentProblem, Latents
+from estimator.likelihood import LatentProblem, Latents, State
 from estimator.model import leg2
 from estimator.signals import LEAST_SEGMENT, SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, random_leg, record
@@ -73,3 +75,23 @@ def test_an_excerpt_that_does_not_converge_is_left_alone(monkeypatch: MonkeyPatc
     found = fit([run], MECHANISM, OPTIONS)
     without_excerpt(monkeypatch)
     np.testing.assert_array_equal(found.beta, fit([run], MECHANISM, OPTIONS).beta)
+
+
+@mark.parametrize("limit", [0, 3], ids=["fails", "does not end"])
+def test_a_search_that_leads_nowhere_begins_again_from_slow_motion(limit: int, monkeypatch: MonkeyPatch) -> None:
+    """A geared leg with a tilted IMU ended in singular equations, blamed on its motion; from there it converges."""
+    run, searches = record(LEG, np.random.default_rng(5), seconds=8), list[State]()
+    usual = fit([run], MECHANISM, OPTIONS)
+
+    def descended(problem: LatentProblem, state: State, *others: Any) -> State:
+        searches.append(state)
+        if len(searches) == 1 and not limit:
+            raise FitError("the equations of the fit became singular")
+        return descend(problem, state, *others, *[limit] * (len(searches) == 1))
+
+    without_excerpt(monkeypatch)
+    monkeypatch.setattr(motion_search, "descend", descended)
+    found = fit([run], MECHANISM, OPTIONS)
+    assert len(searches) == 2 and found.converged
+    assert np.ptp(searches[1].x.q, axis=0)[0] < np.ptp(searches[0].x.q, axis=0)[0]
+    assert np.max(np.abs(found.beta - usual.beta) / usual.std) < 1.0

@@ -99,17 +99,19 @@ def test_recordings_of_the_emulated_leg_are_fitted_alike_in_any_order() -> None:
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: float,
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
-    runs, rig, base = recording(name)
+    (runs, rig, base), starts = recording(name), list[State]()
+
     def started(*arguments: Any) -> State:
         state = start_state(*arguments)
         n = state.noise
         state.noise = replace(n, torque=factor * n.torque, encoder=factor * n.encoder, gyro=factor * n.gyro,
                               accel=factor * n.accel)
+        starts.append(state)
         return state
 
     monkeypatch.setattr(motion_search, "start_state", started)
     found = fit_runs(runs, rig)
-    assert not np.array_equal(found.result.beta, base.result.beta), "the start has another level"
+    assert starts
     assert moved(found, base) < LEAST_MOVE
     said, before = (re.sub(r"[\d.]+ %", "%", fit_trust(one.result).sentence) for one in (found, base))
     assert said == before  # but for the budget's last digit
