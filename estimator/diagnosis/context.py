@@ -66,8 +66,11 @@ class DiagnosisContext:
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters and then of all candidates, one a train run"""
+    held: dict[bytes, Model] = field(default_factory=dict)
+    """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
+    and ..."""
     whole: dict[bytes, Model] = field(default_factory=dict)
-    """Start of any fit to its end with shapes free; see `search.key_of`"""
+    """... of any fit to its end with shapes free; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:
@@ -112,16 +115,17 @@ class DiagnosisContext:
 
 
 def scored(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
-           share: float = MATERIAL) -> tuple[DiagnosisContext, ScoreTests]:
-    """The scores of `candidates` at a nominal fit, less their bias, which is simulated."""
+           bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
+    """The scores of `candidates` at a nominal fit, less their `bias`, which is simulated if it is not given."""
     say("scoring the library", 0.15)
     scores = score_train(nominal, candidates)
-    say("simulating bootstrap replicates", 0.2)
-    try:
-        bias = bootstrap_scores(nominal, candidates, scores, rng)
-    except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
-        bias = [np.zeros_like(s.score) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, bias, nominal, rng, share,
+    if not bias:
+        say("simulating bootstrap replicates", 0.2)
+        try:
+            bias = bootstrap_scores(nominal, candidates, scores, rng)
+        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
+            bias = [np.zeros_like(s.score) for s in scores]
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng,
                                scores=tuple(scores))
     return context, tests_of(nominal, scores, bias)
 

@@ -16,7 +16,9 @@ from estimator.diagnosis.decision_rule import DECIDING_S, EDGE, REPLICATED_SAMPL
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
+    Policies,
     converge_motion,
+    descend,
     free_mask,
     gentle_start,
     iterate,
@@ -25,6 +27,7 @@ from estimator.fitting import (
     start_state,
 )
 from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State, log_marginal
+from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
     SHORT_S,
@@ -41,6 +44,8 @@ from estimator.score import Score, ScoreTests, project, score_alone, score_at, t
 from estimator.signals import SignalSet
 
 T = TypeVar("T")
+SMOOTHING_STEPS = 12
+"""Most steps for the friction smoothing velocities, from the end of a fit."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,8 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
         state = start(blank, signals, split.mechanism, split.options, free, beta)
         floors = split.floors(blank, state.beta)
         try:
-            state = state if state is near and near.converged else iterate(blank, state, freed, split.options, floors)
+            if not state.converged:  # as a start is not
+                state = iterate(blank, state, freed, split.options, floors)
         except FitError:
             continue
         if state.converged and not mistaken_torques(blank, state, floors):
@@ -145,6 +151,12 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     found = Model(split, state, split.problem(split.train, angle_range))
     return replace(found, split=split.with_stiction(stiction_of_test(found)))
+
+
+def nearby(model: Model) -> State:
+    """State from which a nominal fit of other readings of the same samples begins."""
+    state = model.state
+    return replace(state, beta=state.beta[: model.problem.mechanism.p], noise=state.noise.levels(), converged=False)
 
 
 def stiction_of_test(model: Model) -> dict[int, FloatArray]:
@@ -213,6 +225,21 @@ def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> Stat
         found.append(converge_motion(own, replace(state, x=state.x.of(here), noise=state.noise.at(here))).x)
     q, v, u = (np.concatenate([getattr(x, name) for x in found]) for name in ("q", "v", "u"))
     return replace(state, x=Latents(q, v, u))
+
+
+def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
+    """`stated` with the friction smoothing velocities estimated on the train runs together with `model`'s effects.
+
+    Without the effects a larger smoothing velocity absorbs part of them. Raises `FitError`.
+    """
+    split = replace(model.split, mechanism=stated, stiction={})
+    problem = split.problem(split.train, model.problem.stage.angle_range, model.effects)
+    state = model.state
+    free = np.ones(state.beta.size, dtype=bool)
+    free[: stated.p] = free_mask(stated, split.options)[0]
+    floors = split.floors(problem, state.beta[: stated.p])
+    found = descend(problem, state, free, Policies.of(split.options, floors, seeks_smoothing=True), SMOOTHING_STEPS)
+    return problem.smoothed_over(found.smoothing).mechanism
 
 
 def predicted_train(model: Model) -> tuple[PredictedRun, ...]:

@@ -1,8 +1,8 @@
 """`diagnose`: what the simulation gets wrong, the cause, and what extending the model gains.
 
     runs    = split_runs(datasets)            train and test runs
-    tests   = scored(nominal_model(runs))     fit and scores of the train runs
-    found   = search(tests)                   sets of effects, by the train runs alone
+    begun   = begin(runs, library)            fit and scores of the train runs
+    found   = search(begun)                   sets of effects, by the train runs alone
     family  = family_of(found)                the answer, and every model that its verdict asks for
     table   = measure_first(family)           free-run errors on the test runs, which are looked at here first
     verdict = decide(table, family)           no fit, no simulation, no random number
@@ -16,11 +16,12 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from daq import Dataset
+from daq import Dataset, FloatArray
 from estimator.diagnosis import account
 from estimator.diagnosis.context import (
     DiagnosisContext,
@@ -32,13 +33,13 @@ from estimator.diagnosis.context import (
     separability,
 )
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import EDGE, MATERIAL
+from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, nominal_model
+from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
-from estimator.diagnosis.search import search
+from estimator.diagnosis.search import fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.train_errors import train_table
 from estimator.diagnosis.uses import with_uses
@@ -49,8 +50,9 @@ from estimator.fitting import describe_smoothing_velocity, fit_nominal
 from estimator.likelihood import Candidate, State
 from estimator.model import Mechanism
 from estimator.numerics import load_compiler
-from estimator.options import FitOptions
+from estimator.options import AUTO, FitOptions
 from estimator.parallel import cores
+from estimator.score import ScoreTests
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
@@ -74,10 +76,11 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
             seen = sorted((d for d in datasets if d.name not in tests), key=lambda d: place.get(d.name, 0))
             hold, mechanism, near, delay_s, others_s = fit_nominal(seen, mechanism, split.options)
+            seeks = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             delays = (delay_s, *others_s) if delay_s else ()
             split = replace(split, mechanism=mechanism, delays_s=delays, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))
-            found = _diagnose(split, near, seed, say, reference, material)
+            found = _diagnose(split, near, seed, say, reference, material, stated if seeks else None)
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -87,8 +90,10 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
-              reference: Mapping[str, tuple[float, float]] | None, material: float) -> Diagnosis:
-    """The diagnosis of runs that are split, from their fit `near`."""
+              reference: Mapping[str, tuple[float, float]] | None, material: float, stated: Mechanism | None
+              ) -> Diagnosis:
+    """The diagnosis of runs that are split, from their fit `near`; friction's smoothing velocity is estimated from
+    `stated`, if given."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     load_compiler()
@@ -97,19 +102,54 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
 
-    nominal = nominal_model(split, near)
-    context, tests = scored(nominal, candidates, named, rng, say, material)
+    def anew(nominal: Model, bias: Sequence[FloatArray] = ()) -> Begun:
+        return begin(nominal, candidates, named, rng, say, material, bias)
+
+    begun = anew(nominal_model(split, near))
+    if stated is not None and begun.there:
+        other = smoothing_velocity_with(begun, stated)
+        if other is not None:
+            with suppress(FitError):
+                again = replace(begun.context.split, mechanism=other, stiction={})
+                begun = anew(nominal_model(again, nearby(begun.context.nominal)), begun.context.bias)
+    found = searched(begun, say)
+    context = begun.context
+    base = account.base(context.nominal, refused, reference)
+    base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests))
+    say("simulating the held-out runs", 0.85)
+    concluded = conclude(context, base, found, begun.generic, rng)
+    whole = with_uses(with_structure(concluded, context.nominal), context.nominal)
+    return replace(whole, mechanism=context.nominal.split.mechanism)
+
+
+class Begun(NamedTuple):
+    """The nominal model of some runs, and what its scores show."""
+
+    context: DiagnosisContext
+    tests: ScoreTests
+    there: bool
+    """Whether a term is detected."""
+    generic: Model | None
+    """With generic terms, where any is significant."""
+
+
+def begin(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
+          material: float, bias: Sequence[FloatArray] = ()) -> Begun:
+    """The scores of `candidates` at a nominal fit, and what they show."""
+    context, tests = scored(nominal, candidates, named, rng, say, bias)
     there = detected(context, tests)
     generic = generic_extension(context, nominal, tests) if there else None
-    sought = there or large(context)
-    if not sought and context.noise_dominated:
-        raise FitError(context.noise_dominated)  # it hides whether anything is there
-    found = search(context, tests, say) if sought else []
-    base = account.base(nominal, refused, reference)
-    base = replace(base, candidates=rank(context, tests), separability=separability(context, tests))
-    say("simulating the held-out runs", 0.85)
-    concluded = conclude(context, base, found, generic, rng)
-    return with_uses(with_structure(concluded, nominal), nominal)
+    context.share = material
+    return Begun(context, tests, there, generic)
+
+
+def searched(begun: Begun, say: Progress) -> list[Explanation]:
+    """Explanations of what is there. Raises `FitError` where noise hides whether anything is."""
+    if begun.there or large(begun.context):
+        return search(begun.context, begun.tests, say)
+    if begun.context.noise_dominated:
+        raise FitError(begun.context.noise_dominated)
+    return []
 
 
 def large(context: DiagnosisContext) -> bool:
@@ -144,3 +184,21 @@ def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explana
         decision = decide(table, family.rows, material)
     probability = probability_of(decision, table, family.rows, first, material)
     return account.describe(context, base, family, decision, table, first, rotations, probability, rng)
+
+
+def smoothing_velocity_with(begun: Begun, stated: Mechanism) -> Mechanism | None:
+    """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
+    the largest scores and of generic terms; None if it stays.
+
+    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
+    """
+    context = begun.context
+    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, begun.tests)])[:WIDTH])
+    models = [m for m in (single, begun.generic) if m is not None]
+    if not models:
+        return None
+    try:
+        found = likeliest_smoothing_velocity(max(models, key=lambda m: m.log_marginal), stated)
+    except FitError:
+        return None
+    return None if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales) else found

@@ -37,11 +37,12 @@ def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedMod
     predicted worse explains nothing: the fit without a disturbance may have gone astray, and the disturbance is small
     there.
     """
-    (problem, _, signals, _, options), (found, kept) = fitted, disturbed
+    (problem, state, signals, _, options), (found, kept) = fitted, disturbed
     for effect in _promising(fitted):
         size = np.append(np.zeros(len(effect.sizes)), effect.usual or ())
         try:
-            wide, again = extend(fitted, ((effect, size),), np.arange(size.size) < len(effect.sizes))
+            wide, again = extend(fitted, ((effect, size),), np.arange(size.size) < len(effect.sizes),
+                                 state.noise.levels())
             likelihood = disturbance_likelihood(signals, wide, again, partial(_with_effect, problem, effect))
             left = find_disturbance(likelihood, of_noise(again.noise), options) if again.converged else found
         except FIT_ERRORS:

@@ -12,7 +12,7 @@ from daq import BoolArray, FloatArray
 from estimator.effects import Effect
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
-from estimator.likelihood import LatentProblem, Stage, State
+from estimator.likelihood import LatentProblem, Noise, Stage, State
 from estimator.options import FitOptions
 from estimator.signals import SignalSet
 
@@ -48,10 +48,13 @@ def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequ
     return found.with_disturbance() if problem.disturbed else found
 
 
-def extend(fitted: Fitted, extra: Extra, sought: BoolArray) -> tuple[LatentProblem, State]:
-    """Problem and fit with terms, from their sizes, of which those `sought` (m,) are free. Raises `FitError`."""
+def extend(fitted: Fitted, extra: Extra, sought: BoolArray, noise: Noise) -> tuple[LatentProblem, State]:
+    """Problem and fit with terms, from their sizes, of which those `sought` (m,) are free, and from this `noise`.
+
+    Raises `FitError`.
+    """
     wide, begin = fitted.with_sizes(extra)
-    begin = replace(begin, noise=begin.noise.levels(), covariance=np.zeros((begin.beta.size,) * 2))
+    begin = replace(begin, noise=noise, covariance=np.zeros((begin.beta.size,) * 2))
     return wide, iterate(wide, begin, np.append(fitted.free, sought), fitted.options,
                          noise_floors(wide, wide.mechanism, fitted.state.beta))
 

@@ -56,7 +56,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False
     starts = np.where(held, UNLIMITED, [start for *_, start in own])
     effects = [KINDS[key](j) for key, j, _ in own]
     try:
-        wide, again = extend(fitted, tuple(zip(effects, starts[:, None])), ~held)
+        wide, again = extend(fitted, tuple(zip(effects, starts[:, None])), ~held, state.noise.levels())
     except FIT_ERRORS:
         return plain
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])

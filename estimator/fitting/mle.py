@@ -98,7 +98,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     fitted, cause = _with_disturbance(fitted._replace(state=with_unseen_torque(fitted)))
     loops = with_loop_terms(fitted, options.unknown_loop)
     fitted, extra, problem = fitted._replace(state=loops.state), loops.extra, fitted.problem
-    skew, found = None, None
+    skew = found = None
     aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
     if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
         state, skew, found = with_skew(fitted, bound_s, age_s)

@@ -6,7 +6,7 @@ every verb begins with. `find_loop` wants values of loops alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -115,12 +115,11 @@ def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOp
         near, noise=near.noise.levels())
     floors = noise_floors(problem, mechanism, begin.beta)
     warm = from_excerpt(problem, signals, options, free, begin, seeks_smoothing) if near is None else None
-    starts: tuple[Callable[[], State], ...] = (
-        lambda: warm or begin, lambda: gentle_start(problem, signals, mechanism, options, free, beta))
     found: State | None = None
-    for start in starts:
+    for gentle in (False, True):
         try:
-            state = descend(problem, start(), free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
+            start = gentle_start(problem, signals, mechanism, options, free, beta) if gentle else warm or begin
+            state = descend(problem, start, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
             refuse_collapse(problem, state, mechanism)
         except FitError as error:
             failure = error

@@ -12,7 +12,7 @@ from estimator.diagnosis.decision_rule import GROWN, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.model import Model, gain_over
 from estimator.diagnosis.train_errors import floor_of_best, left_out_runs
-from estimator.effects import TorqueDelay
+from estimator.effects import StribeckFriction, TorqueDelay
 from estimator.effects.quadratic_drag import QuadraticDrag
 from tests.support.driven_pendulum import searched
 from tests.support.stated_fits import Named, explained, predicted_by_scores
@@ -52,12 +52,18 @@ def test_sets_that_are_the_likeliest_after_a_few_steps_are_kept() -> None:
 
 
 def test_no_fit_from_the_nominal_model_is_made_twice() -> None:
+    """Shapes are free in the likeliest set alone."""
     one = searched(drag=DRAG)
-    context = replace(one.context, whole={})
-    starts: list[tuple[Model, Start]] = [(context.nominal, [(QuadraticDrag(0), np.zeros(1))])]
-    [drag] = search.fit_sets(context, starts)
+    context = replace(one.context, held={}, whole={})
+    starts: list[tuple[Model, Start]] = [
+        (context.nominal, [(QuadraticDrag(0), np.zeros(1))]),
+        (context.nominal, [(StribeckFriction(0), np.array([0.0, 0.2, 2.0]))])]
+    likeliest = search.fit_likeliest(context, starts)
+    assert likeliest is not None and keys_of(search.pairs_of(likeliest)) == ["quadratic_drag@1"]
+    assert set(context.held) == {search.key_of(s) for _, s in starts}
     assert list(context.whole) == [search.key_of(starts[0][1])]
-    assert search.fit_whole(context, *starts[0]) is drag.model
+    assert search.fit_whole(context, *starts[0]) is likeliest
+    assert search.fit_likeliest(context, []) is None
 
 
 def test_what_is_not_significant_in_a_set_is_left_out() -> None:

@@ -80,7 +80,7 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
 
 def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
     context, tests = scored(nominal_model(sprung.split), sprung.candidates, sprung.named, default_rng(1),
-                            lambda *_: None)
+                            lambda *_: None, sprung.bias)
     found = exchanged(context, tests, [fitted(context, SPRING)])
     assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)
     assert all(len(e.keys) == 1 for e in found)
