@@ -135,7 +135,7 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
         state = start(blank, signals, split.mechanism, split.options, free, beta)
         floors = split.floors(blank, state.beta)
         try:
-            if not state.converged:  # as a start is not
+            if not state.converged:  # `near` may have
                 state = iterate(blank, state, freed, split.options, floors)
         except FitError:
             continue

@@ -32,10 +32,9 @@ TRIED = 4
 def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
     """The listed effect that leaves less than MOST_LEFT of the slow part of a disturbance; None: there is none.
 
-    `fitted` is without it, `disturbed` has it and the fit's model. Effects whose scores promise
-    most are fitted in its place, and the likeliest disturbance is sought anew with each. One with which a second is
-    predicted worse explains nothing: the fit without a disturbance may have gone astray, and the disturbance is small
-    there.
+    `fitted` is without it, `disturbed` has it and the fit's model. Effects whose scores promise most are fitted in its
+    place, and the likeliest disturbance is sought anew with each. One with which a second is predicted worse explains
+    nothing: the fit without a disturbance may have gone astray, and the disturbance is small there.
     """
     (problem, state, signals, _, options), (found, kept) = fitted, disturbed
     for effect in _promising(fitted):

@@ -86,7 +86,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
-    # matrices are small: threads that wait for one another cost a third of the time; a fit that diverges raises
+    # matrices are small: threads that wait for one another cost a quarter of the time; a fit that diverges raises
     with threadpool_limits(1), np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         return run(datasets, mechanism, options)
 

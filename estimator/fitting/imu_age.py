@@ -72,8 +72,8 @@ def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0) -> tuple[State
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    state, again = fitted.state, extend(
-        fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), fitted.state.noise)[1]
+    state = fitted.state
+    _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     late = skew + age_s
     if bound_s == 0.0:

@@ -29,6 +29,8 @@ UNLIMITED = 1e6
 """Limit from which on a loop has none"""
 LEAST_GAIN, SURE = 0.01, 3.3
 """Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
+
+
 class Loops(NamedTuple):
     """A fit with the terms of its loops."""
 

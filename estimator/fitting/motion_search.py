@@ -102,7 +102,7 @@ def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOp
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any.
 
-    A search that fails starts again from slow motion. Raises `FitError`.
+    A search that fails, or does not end, starts again from slow motion. Raises `FitError` where both fail.
     """
     problem = LatentProblem(signals, mechanism, options.hold)
     seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)

@@ -157,7 +157,7 @@ def test_a_train_run_is_predicted_by_the_fit_to_the_others() -> None:
     best = replace(one.found[0], model=replace(one.found[0].model))
     fold = context.split.inner[0]
     left = left_out_runs(context, best.model, best.scores, fold)
-    assert set(left) == set(fold)
+    assert set(left) == set(fold) and best.model.made["left out"] is left
     assert left_out_runs(context, best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
     biased = [replace(s, score=s.score + (3.0 if run in fold else -3.0) * s.scale)
               for s, run in zip(best.scores, context.split.train)]
