@@ -16,6 +16,4 @@ def is_of_loop(start: Start) -> bool:
 def by_loops_first(starts: Sequence[tuple[Model, Start]], width: int) -> list[tuple[Model, Start]]:
     """`starts` with those of position loops right after the first `width`: the nominal fit puts what a loop does
     otherwise down to noise, so neither its slope nor the error beyond that noise says how large it is."""
-    rest = list(starts[width:])
-    return [*starts[:width], *(one for one in rest if is_of_loop(one[1])),
-            *(one for one in rest if not is_of_loop(one[1]))]
+    return [*starts[:width], *sorted(starts[width:], key=lambda start: not is_of_loop(start[1]))]

@@ -36,16 +36,17 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import EDGE, MATERIAL, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.family import family_of, measure_all, measure_first
-from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model
+from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model, refit
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
-from estimator.diagnosis.search import fit_likeliest, grown, search
+from estimator.diagnosis.search import fit_likeliest, grown, pairs_of, search
 from estimator.diagnosis.structure import with_structure
-from estimator.diagnosis.train_errors import train_table
+from estimator.diagnosis.train_errors import errs_less, train_table
 from estimator.diagnosis.uses import with_uses
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
 from estimator.errors import FitError
+from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting import describe_smoothing_velocity, fit_nominal
 from estimator.likelihood import Candidate, State
 from estimator.model import Mechanism
@@ -107,11 +108,9 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
 
     begun = anew(nominal_model(split, near))
     if stated is not None and begun.there:
-        other = smoothing_velocity_with(begun, stated)
+        other = with_smoothing_velocity(begun, stated)
         if other is not None:
-            with suppress(FitError):
-                again = replace(begun.context.split, mechanism=other, stiction={})
-                begun = anew(nominal_model(again, nearby(begun.context.nominal)), begun.context.bias)
+            begun = anew(other, begun.context.bias)
     found = searched(begun, say)
     context = begun.context
     base = account.base(context.nominal, refused, reference)
@@ -186,19 +185,24 @@ def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explana
     return account.describe(context, base, family, decision, table, first, rotations, probability, rng)
 
 
-def smoothing_velocity_with(begun: Begun, stated: Mechanism) -> Mechanism | None:
-    """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
-    the largest scores and of generic terms; None if it stays.
+def with_smoothing_velocity(begun: Begun, stated: Mechanism) -> Model | None:
+    """The nominal model with its smoothing velocity estimated from `stated` together with the likeliest of the effects
+    of the largest scores and of generic terms; None if it stays.
 
-    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
+    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it. It stays unless the other one
+    predicts train runs better that are left out.
     """
     context = begun.context
     single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, begun.tests)])[:WIDTH])
     models = [m for m in (single, begun.generic) if m is not None]
     if not models:
         return None
+    likeliest = max(models, key=lambda m: m.log_marginal)
     try:
-        found = likeliest_smoothing_velocity(max(models, key=lambda m: m.log_marginal), stated)
-    except FitError:
+        found = likeliest_smoothing_velocity(likeliest, stated)
+        if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales):
+            return None
+        nominal = nominal_model(replace(context.split, mechanism=found, stiction={}), nearby(context.nominal))
+        return nominal if errs_less(refit(nominal, pairs_of(likeliest)), likeliest, context.rng) else None
+    except FIT_ERRORS:
         return None
-    return None if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales) else found

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import reduce
 
+import numpy as np
+
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, with_generic
 from estimator.diagnosis.error_table import ErrorTable, floors_of, judged
@@ -47,19 +49,29 @@ def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: 
     Each run is predicted by the fit to the other train runs. Raises `FitError`.
     """
     (unit, floors), train = floor or floor_of_best(context, found), context.split.train
-    every = [left_out_runs(context, context.nominal, context.own_scores, train),
-             *(left_out_runs(context, e.model, e.scores, train) for e in found)]
+    every = [left_out_runs(context.nominal, context.own_scores, train),
+             *(left_out_runs(e.model, e.scores, train) for e in found)]
     runs = [reduce(together, [one[run] for one in every]) for run in train]
     return judged(unit, runs, floors, range(len(every)), context.rng)
 
 
-def left_out_runs(context: DiagnosisContext, model: Model, scores: Sequence[Score], runs: Sequence[int]
-                  ) -> dict[int, PredictedRun]:
+def errs_less(model: Model, than: Model, rng: np.random.Generator) -> bool:
+    """Whether free runs of the train runs, each predicted by a fit to the others, err less by `model`.
+
+    The unit of each sensor and horizon is the lesser error of both. Raises `FitError`.
+    """
+    train = model.split.train
+    one, other = (left_out_runs(m, (), train) for m in (model, than))
+    table = judged(model, [together(one[run], other[run]) for run in train], [np.full(1, np.inf)], range(2), rng)
+    return table.error(0) < table.error(1)
+
+
+def left_out_runs(model: Model, scores: Sequence[Score], runs: Sequence[int]) -> dict[int, PredictedRun]:
     """Each of these train `runs` as predicted by the fit of `model` without its fold; each fold once."""
     known = model.once("left out", dict[int, PredictedRun])
-    missing = [fold for fold in context.split.inner if set(fold) & set(runs) and not set(fold) <= known.keys()]
+    missing = [fold for fold in model.split.inner if set(fold) & set(runs) and not set(fold) <= known.keys()]
     own = scores if scores or not missing else score_train(model, ())
     for found in parallel_map(lambda k: predicted_left_out(model, own, missing[k]), len(missing),
-                              context.split.workers):
+                              model.split.workers):
         known |= found
     return known

@@ -24,6 +24,7 @@ import numpy as np
 from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import Effect, SensorTimeSkew, TorqueDelay
 from estimator.errors import FitError
+from estimator.fitting.excerpt import excerpt
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.imu_age import LATEST_S
 from estimator.fitting.initial_guess import noise_floors
@@ -89,11 +90,7 @@ class HoldChoice(NamedTuple):
 def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State, free: BoolArray,
                 fitted: LatentProblem, options: FitOptions) -> HoldChoice:
     """The likeliest of `TRIED` given the fit of one of them; parameters that are not `free` stay."""
-    total = fitted.total
-    share = min(1.0, max(EXCERPT, total // SHARE) / total)
-    parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
-    index = np.concatenate([start + np.arange(len(s.time_s)) for s, start in
-                            zip(parts, fitted.ends - [len(s.time_s) for s in signals], strict=True)])
+    parts, index = excerpt(signals, max(EXCERPT, fitted.total // SHARE))
     delays: tuple[Effect, ...] = (TorqueDelay(),) if mechanism.actuated else ()
     delays += (SensorTimeSkew(),) if fitted.has_imu else ()
     begin = State(state.x.of(index), np.append(state.beta, np.zeros(len(delays))), state.noise.at(index),

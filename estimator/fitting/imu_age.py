@@ -14,6 +14,7 @@ import numpy as np
 from daq import BoolArray, FloatArray
 from estimator.effects import SensorTimeSkew
 from estimator.fit_errors import FIT_ERRORS
+from estimator.fitting.excerpt import excerpt
 from estimator.fitting.extension import Fitted, extend, without_sizes
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
@@ -21,7 +22,7 @@ from estimator.likelihood import State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import TWO_SIDED
-from estimator.signals import LEAST_SEGMENT, SignalSet, cut, is_plain, with_earlier_imu
+from estimator.signals import SignalSet, is_plain, with_earlier_imu
 
 STEP_S = 0.002
 """Of the search [s]: shorter than the width of its minimum, which is that of the motion."""
@@ -40,8 +41,7 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     """
     if options.sensors != "imu" or not is_plain(mechanism, options) or not mechanism.actuated:
         return 0.0
-    share = min(1.0, EXCERPT / sum(len(s.time_s) for s in signals))
-    parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
+    parts = excerpt(signals, EXCERPT)[0]
 
     def cost(age_s: float) -> float:
         """Sum over joints of the log residual [log N m]."""

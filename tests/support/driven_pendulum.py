@@ -66,9 +66,9 @@ class Searched(NamedTuple):
     family: FittedFamily
 
 
-def search_runs(runs: Sequence[Dataset]) -> Searched:
+def search_runs(runs: Sequence[Dataset], velocity_scale: float = SMOOTHING) -> Searched:
     """With the effects of TRIED and six generic terms."""
-    split = split_runs(runs, mechanism(), FitOptions(sensors="encoder"))
+    split = split_runs(runs, joint1(velocity_scale=velocity_scale), FitOptions(sensors="encoder"))
     effects = [e for e in library(split.mechanism, False, split.encoders)[0] if e.name in TRIED]
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)

@@ -7,11 +7,13 @@ import pytest
 from numpy.random import default_rng
 
 from estimator import FitError
-from estimator.diagnosis import MATERIAL
+from estimator.diagnosis import MATERIAL, procedure
 from estimator.diagnosis.family import measure_all, measure_first
-from estimator.diagnosis.train_errors import floor_of_best, train_table
+from estimator.diagnosis.procedure import Begun, with_smoothing_velocity
+from estimator.diagnosis.train_errors import errs_less, floor_of_best, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
-from tests.support.driven_pendulum import Searched, pendulum_runs, search_runs, searched
+from estimator.model import joint1
+from tests.support.driven_pendulum import SMOOTHING, Searched, mechanism, pendulum_runs, search_runs, searched
 
 DRAG, SPRING = 0.03, 0.4
 
@@ -100,3 +102,23 @@ def test_where_the_answer_cannot_be_simulated_the_nominal_model_is_the_unit() ->
     models[0] = replace(models[0], state=replace(models[0].state, beta=wild[:4]))
     with pytest.raises(FitError):
         measure_first(replace(family, models=tuple(models)), default_rng(1))
+
+
+def test_the_model_with_the_cause_predicts_the_runs_left_out_better() -> None:
+    one = searched(drag=DRAG)
+    answer, nominal = one.found[0].model, one.context.nominal
+    assert errs_less(answer, nominal, default_rng(0)) and not errs_less(nominal, answer, default_rng(0))
+    assert not errs_less(answer, answer, default_rng(0))
+
+
+@pytest.mark.parametrize("fitted, found, stays", [
+    (SMOOTHING, SMOOTHING, True), (SMOOTHING, 40.0 * SMOOTHING, True), (40.0 * SMOOTHING, SMOOTHING, False)])
+def test_another_smoothing_velocity_is_taken_where_it_predicts_the_runs_left_out_better(
+        monkeypatch: pytest.MonkeyPatch, fitted: float, found: float, stays: bool) -> None:
+    """Friction without a step, as with 2 rad/s, is no friction of this pendulum."""
+    one = search_runs(pendulum_runs(4, drag=DRAG), fitted)
+    monkeypatch.setattr(procedure, "likeliest_smoothing_velocity", lambda *_: joint1(velocity_scale=found))
+    nominal = with_smoothing_velocity(Begun(one.context, one.tests, True, one.generic), mechanism())
+    assert (nominal is None) is stays
+    if nominal is not None:
+        assert nominal.split.mechanism.velocity_scales == pytest.approx([found]) and not nominal.effects

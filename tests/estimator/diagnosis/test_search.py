@@ -156,12 +156,12 @@ def test_a_train_run_is_predicted_by_the_fit_to_the_others() -> None:
     context = replace(one.context, rng=np.random.default_rng(0))
     best = replace(one.found[0], model=replace(one.found[0].model))
     fold = context.split.inner[0]
-    left = left_out_runs(context, best.model, best.scores, fold)
+    left = left_out_runs(best.model, best.scores, fold)
     assert set(left) == set(fold) and best.model.made["left out"] is left
-    assert left_out_runs(context, best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
+    assert left_out_runs(best.model, best.scores, fold)[fold[0]] is left[fold[0]]  # once
     biased = [replace(s, score=s.score + (3.0 if run in fold else -3.0) * s.scale)
               for s, run in zip(best.scores, context.split.train)]
-    other = left_out_runs(context, replace(best.model), biased, fold)
+    other = left_out_runs(replace(best.model), biased, fold)
     assert np.nanmax(np.abs(other[fold[0]].simulated - left[fold[0]].simulated)) > 0.0
 
 
