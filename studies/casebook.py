@@ -23,7 +23,7 @@ from estimator.diagnosis import Diagnosis
 from estimator.prediction import Validation, validations_of
 from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
-from experiments.documents import errors_of, pieces_of
+from experiments.documents import errors_of
 from experiments.judge import model_of
 from experiments.models import mechanism_settings
 from experiments.session import Setup, load_runs, prepare
@@ -328,7 +328,6 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
         entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
                   "causes": [c.effect for c in d.found.causes],
                   "free_run_rmse": errors_of(d.found.sensors),
-                  **({} if d.found.short is None else {"pieces": pieces_of(d.found.short)}),
                   "gap_closed": d.found.gap_closed, "gap_closed_ci95": d.found.gap_closed_ci95,
                   "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
                             for c in d.found.causes},

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from msgspec import UNSET
 
 from experiments.calibrate import CHECK, FOUND, check_rows, found_rows, open_terms
 from experiments.documents import DiagnosisDocument, segment_of
@@ -23,7 +22,6 @@ from experiments.reports import (
     gap_text,
     key_label,
     picture_lines,
-    piece_table,
     segment_table,
     signature_limits,
     signature_plot,
@@ -243,7 +241,6 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows, {1, 2, 3},
                             f"on the held-out runs {', '.join(found.confirm_runs)}. {gap_text(told)}"))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
-    tables += [] if told.gain.pieces is UNSET else [piece_table(told.gain.pieces)]
     limits = signature_limits(found.signatures)
     pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: the residual, "
                          "and what the effect adds.") for s in found.signatures]

@@ -5,10 +5,10 @@ from .result import BudgetRow as BudgetRow
 from .result import CandidateScore as CandidateScore
 from .result import Cause as Cause
 from .result import Diagnosis as Diagnosis
+from .result import HorizonGain as HorizonGain
 from .result import Remainder as Remainder
 from .result import Rotation as Rotation
 from .result import SensorGain as SensorGain
-from .result import ShortRuns as ShortRuns
 from .result import Signature as Signature
 from .result import SizeEstimate as SizeEstimate
 from .result import Trace as Trace

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +15,17 @@ from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
-from estimator.diagnosis.gain import measure_gain, smoothed_tests
+from estimator.diagnosis.gain import gains_by_horizon, measure_gain, smoothed_tests
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, ShortRuns, SizeEstimate
+from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, SizeEstimate
 from estimator.diagnosis.tolerances import with_tolerances
 from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
-from estimator.prediction import SHORT_S, FloorNoise
+from estimator.prediction import FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
 
 NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
@@ -44,6 +43,7 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     row = NOMINAL if decision.answer is None else decision.answer.row
     found = replace(base, material=context.share, budget=budget(table, decision.answer), rotations=rotations,
                     error=(table.error(NOMINAL), table.error(row)),
+                    by_horizon=gains_by_horizon(table, row) if row else (),
                     compared=compared(family, first), in_library=probability,
                     probability=probability and min(probability, calibrated(probability)),
                     remainder=remainder(family, decision))
@@ -301,16 +301,12 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
         extended_covariance=covariance,
         signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
-        smoothed = smoothed_tests(nominal, model)
-        gain = measure_gain(model, smoothed, rng, noise)
+        gain = measure_gain(model, smoothed_tests(nominal, model), rng, noise)
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
         unsure = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
         found = replace(found, warnings=(*found.warnings, *unsure))
-        with suppress(FitError):  # in pieces it may still diverge
-            short = measure_gain(model, smoothed, rng, noise, SHORT_S)
-            found = replace(found, short=ShortRuns(SHORT_S, short.sensors, short.closed, short.ci95))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from daq import FloatArray, IndexArray
 from estimator.diagnosis.decision_rule import DRAWS
-from estimator.diagnosis.error_table import ErrorTable, floor_of, judged, sensors_of
+from estimator.diagnosis.error_table import NOMINAL, ErrorTable, floor_of, judged, sensors_of
 from estimator.diagnosis.model import Model, smooth
-from estimator.diagnosis.result import SensorGain, Trace
+from estimator.diagnosis.result import HorizonGain, SensorGain, Trace
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
@@ -44,7 +44,7 @@ def smoothed_tests(nominal: Model, extended: Model) -> list[list[SmoothedRun]]:
 
 
 def measure_gain(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng: np.random.Generator,
-                 noise: FloorNoise, horizon_s: float = np.inf) -> Gain:
+                 noise: FloorNoise) -> Gain:
     """Before, after and floor on the test runs as `smoothed_tests` has them, with the share of the gap closed and its
     block bootstrap.
 
@@ -56,17 +56,17 @@ def measure_gain(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng
 
     def predicted(k: int) -> tuple[PredictedRun, FloatArray]:
         *both, fitted = smoothed[k]
-        found = predict_run(both, [horizon_s])
+        found = predict_run(both, [np.inf])
         if not np.isfinite(found.simulated[1]).all():
             raise FitError("the free run diverges")
-        floor = floor_of(extended, split.test[k], fitted, seeds[k], [horizon_s], noise, len(seeds))
+        floor = floor_of(extended, split.test[k], fitted, seeds[k], [np.inf], noise, len(seeds))
         return found, floor.mean(axis=-1)
 
     parts = parallel_map(predicted, len(split.test), split.workers)
     runs = [run for run, _ in parts]
     table, plain = judged(extended, runs, [floor for _, floor in parts], [1], rng), tabulate(runs, smoother=1,
                                                                                             every_horizon=True)
-    sensors = {sensor: SensorGain(plain.rms(0, sensor, horizon_s), plain.rms(1, sensor, horizon_s), float(floor**0.5))
+    sensors = {sensor: SensorGain(plain.rms(0, sensor, np.inf), plain.rms(1, sensor, np.inf), float(floor**0.5))
                for (sensor, _), floor in zip(table.columns, table.floor)}
     closed = _closed(table, np.arange(len(table.runs)))
     shares = np.array([share for d in table.draws if (share := _closed(table, d)) is not None])
@@ -76,6 +76,16 @@ def measure_gain(extended: Model, smoothed: Sequence[Sequence[SmoothedRun]], rng
     return Gain(sensors, closed if known else None, (float(low), float(high)) if known else None,
                 (tuple(map(float, torque[0])), tuple(map(float, torque[1]))),
                 tuple(_trace(run, sensors_of(extended)) for run in runs))
+
+
+def gains_by_horizon(table: ErrorTable, row: int) -> tuple[HorizonGain, ...]:
+    """Error of the model in `row` over that of the nominal one, at each horizon."""
+    found = []
+    for horizon_s in dict.fromkeys(horizon_s for _, horizon_s in table.columns):
+        own = replace(table, values=table.values[:, :, [one == horizon_s for _, one in table.columns]])
+        low, high = np.quantile(own.errors(row, own.draws) / own.errors(NOMINAL, own.draws), [0.025, 0.975])
+        found.append(HorizonGain(horizon_s, own.error(row) / own.error(NOMINAL), (float(low), float(high))))
+    return tuple(found)
 
 
 def _trace(run: PredictedRun, names: tuple[str, ...]) -> Trace:

@@ -70,13 +70,14 @@ class SensorGain:
 
 
 @dataclass(frozen=True)
-class ShortRuns:
-    """Errors on the test runs where each is simulated in pieces, every one from the motion that was fitted there."""
+class HorizonGain:
+    """Free-run rms error of the extended model over that of the nominal one, on held-out runs, over all sensors."""
 
     horizon_s: float
-    sensors: Mapping[str, SensorGain]
-    closed: float | None
-    ci95: tuple[float, float] | None
+    """Infinite: whole runs"""
+    ratio: float
+    ci95: tuple[float, float]
+    """Over resampled pieces of those runs."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +192,8 @@ class Diagnosis:
     """Joint (1-based) to the rms level of the disturbance torque there that counts as noise, with its unit."""
     angle_range: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
-    short: ShortRuns | None = None
-    """Only where free runs over whole runs cannot show the gain."""
+    by_horizon: tuple[HorizonGain, ...] = ()
+    """Of an answer, the shortest horizon first"""
     budget: tuple[BudgetRow, ...] = ()
     probability: float | None = None
     """That the answer is true, by answers to legs whose causes are known (see `calibrated`); None where none is

@@ -13,14 +13,12 @@ from .diagnosis import DiagnosisDocument as DiagnosisDocument
 from .diagnosis import NotTestable as NotTestable
 from .diagnosis_parts import Learnt as Learnt
 from .diagnosis_parts import NamedCause as NamedCause
-from .diagnosis_parts import Pieces as Pieces
 from .diagnosis_parts import Scored as Scored
 from .diagnosis_parts import Share as Share
 from .diagnosis_parts import contract_joint as contract_joint
 from .diagnosis_parts import errors_of as errors_of
 from .diagnosis_parts import gains_of as gains_of
 from .diagnosis_parts import learnt_of as learnt_of
-from .diagnosis_parts import pieces_of as pieces_of
 from .diagnosis_parts import split_key as split_key
 from .document import Document as Document
 from .document import Number as Number

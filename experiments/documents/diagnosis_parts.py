@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from estimator.diagnosis import CandidateScore, Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis import CandidateScore, Diagnosis, SensorGain
 from estimator.diagnosis import Cause as PlainCause
 from estimator.prediction import Structure as PlainStructure
 from estimator.prediction import where_of
@@ -77,13 +77,12 @@ class Errors(Struct, frozen=True, kw_only=True):
     floor: Annotated[Number, Meta(description="of noise alone")]
 
 
-class Pieces(Struct, frozen=True, kw_only=True):
-    """The same over pieces."""
+class OverHorizon(Struct, frozen=True, kw_only=True):
+    """Error of the extended model over that of the nominal one."""
 
-    horizon_s: Annotated[float, Meta(description="their length [s]")]
-    rmse: Annotated[dict[str, Errors], Meta(description="by sensor")]
-    gap_closed: Annotated[Number, Meta(description="as that of whole runs")]
-    gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")]
+    horizon_s: Annotated[float | None, Meta(description="of the free runs [s]; null: whole runs")]
+    ratio: Annotated[Number, Meta(description="of rms errors, over all sensors")]
+    ci95: Interval
 
 
 class Torques(Struct, frozen=True, kw_only=True):
@@ -103,7 +102,7 @@ class GainOnHeldOut(Struct, frozen=True, kw_only=True):
     gap_closed: Annotated[Number, Meta(description="share of the gap to noise alone, of mean squares (texts: rms)")
                           ] = None
     gap_closed_ci95: Annotated[tuple[Number, Number] | None, Meta(description="its 95 % interval")] = None
-    pieces: Annotated[Pieces | UnsetType, Meta(description="the same of pieces, if needed")] = UNSET
+    by_horizon: Annotated[tuple[OverHorizon, ...] | UnsetType, Meta(description="of an answer")] = UNSET
 
 
 class Share(Struct, frozen=True, kw_only=True):
@@ -202,19 +201,14 @@ def gains_of(errors: Mapping[str, Errors]) -> dict[str, SensorGain]:
             for column, one in errors.items()}
 
 
-def pieces_of(short: ShortRuns | None) -> Pieces | UnsetType:
-    """The errors in pieces; absent where free runs over whole runs show the gain."""
-    return UNSET if short is None else Pieces(horizon_s=short.horizon_s, rmse=errors_of(short.sensors),
-                                              gap_closed=short.closed, gap_closed_ci95=short.ci95)
-
-
 def gain_of(found: Diagnosis) -> GainOnHeldOut:
     """The entry `gain` of a diagnosis."""
     before, after = found.torque_rms_nm
     return GainOnHeldOut(confirm_runs=found.confirm_runs, free_run_rmse=errors_of(found.sensors),
                          torque_rms_nm=Torques(before=tuple(before), after=tuple(after)),
                          gap_closed=found.gap_closed, gap_closed_ci95=found.gap_closed_ci95,
-                         pieces=pieces_of(found.short))
+                         by_horizon=tuple(OverHorizon(horizon_s=known(one.horizon_s), ratio=known(one.ratio),
+                                                      ci95=one.ci95) for one in found.by_horizon) or UNSET)
 
 
 def learnt_of(found: PlainStructure | None) -> Learnt | None:

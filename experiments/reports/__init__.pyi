@@ -20,7 +20,6 @@ from .diagnosis_text import diagnosis_text as diagnosis_text
 from .diagnosis_text import error_table as error_table
 from .diagnosis_text import gap_text as gap_text
 from .diagnosis_text import key_label as key_label
-from .diagnosis_text import piece_table as piece_table
 from .diagnosis_text import short_diagnosis_text as short_diagnosis_text
 from .diagnosis_text import size_table as size_table
 from .figures import BLUE as BLUE

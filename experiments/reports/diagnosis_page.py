@@ -8,7 +8,6 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from msgspec import UNSET
 
 from estimator.diagnosis import Diagnosis
 from estimator.signals import angle_column
@@ -38,7 +37,6 @@ from experiments.reports.diagnosis_text import (
     hold_words,
     key_label,
     parameter_table,
-    piece_table,
     probability,
     rotation_table,
     rotation_words,
@@ -136,15 +134,14 @@ def _about(cause: NamedCause) -> str:
 def _errors(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
     if not found.sensors:
         return None
-    table, torques, pieces = error_table(found.sensors), found.gain.torque_rms_nm, found.gain.pieces
+    table, torques = error_table(found.sensors), found.gain.torque_rms_nm
     rows = [[f"torque residual, joint {j} [{found.force_unit}]", f"{finite(b):.4g}", f"{finite(a):.4g}", ""]
             for j, (b, a) in enumerate(zip(torques.before, torques.after), 1)]
     return Section(
         "How far the simulation is off",
         [f"Free-run simulation of {', '.join(found.confirm_runs)}: one initial state, then the measured torque alone. "
          "These runs were not used to fit or to choose. " + gap_text(found)],
-        [replace(table, rows=[*table.rows, *rows], caption="rms errors, in the unit of the sensor"),
-         *([] if pieces is UNSET else [piece_table(pieces)])],
+        [replace(table, rows=[*table.rows, *rows], caption="rms errors, in the unit of the sensor")],
         [Picture(error_bars(found.sensors), "Free-run error by sensor, in the sensor's own unit. The error of noise "
                  "alone is measured on bootstrap replicates: records simulated by the extended model.",
                  leads=not kept.traces)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from math import inf, isfinite, isinf
 
-from msgspec import UNSET
 from msgspec.structs import asdict
 
 from estimator.diagnosis import SensorGain
@@ -14,12 +13,10 @@ from experiments.documents import (
     NamedCause,
     NotTestable,
     Number,
-    Pieces,
     Scored,
     Untestable,
     contract_joint,
     finite,
-    gains_of,
     split_key,
 )
 from experiments.judge import Files, normal, number, with_names
@@ -88,8 +85,12 @@ def error_table(sensors: Mapping[str, SensorGain], caption: str = "") -> Table:
 
 
 def gap_text(found: DiagnosisDocument) -> str:
-    """The share of the gap that free runs of whole runs show closed; empty where there is none."""
-    return share_text(found.sensors, found.gap_closed, found.gain.gap_closed_ci95)
+    """The share of the gap that is closed over whole runs, and the ratio of errors by horizon; empty without both."""
+    told = ", ".join(f"{finite(one.ratio):.2g} [{', '.join(f'{finite(end):.2g}' for end in one.ci95)}] over "
+                     f"{f'{one.horizon_s:g} s' if one.horizon_s else 'whole runs'}"
+                     for one in found.gain.by_horizon or ())
+    return " ".join(filter(None, [share_text(found.sensors, found.gap_closed, found.gain.gap_closed_ci95),
+                                  told and f"Error of the extended model over that of the nominal one: {told}."]))
 
 
 def share_text(sensors: Mapping[str, SensorGain], closed: Number, ci95: tuple[Number, Number] | None) -> str:
@@ -122,17 +123,6 @@ def _over_noise(sensors: Mapping[str, SensorGain]) -> float:
 def _left(closed: float, before: float) -> float:
     """rms error in those multiples, of which the share `closed` of the mean squares' gap is taken away."""
     return float(max(before**2 - closed * (before**2 - 1.0), 0.0) ** 0.5)
-
-
-def piece_words(pieces: Pieces) -> tuple[str, str]:
-    """Title of the errors over pieces, and the share of the gap that they show closed."""
-    return (f"rms errors over pieces of {pieces.horizon_s:g} s, in which noise adds up to less",
-            share_text(gains_of(pieces.rmse), pieces.gap_closed, pieces.gap_closed_ci95))
-
-
-def piece_table(pieces: Pieces) -> Table:
-    """The errors over pieces."""
-    return error_table(gains_of(pieces.rmse), ". ".join(piece_words(pieces)))
 
 
 def budget_words(found: DiagnosisDocument) -> str:
@@ -221,7 +211,7 @@ def short_diagnosis_text(found: DiagnosisDocument) -> str:
 
 def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
     """Text after `legid diagnose`: the verdict first. The next step names `files`."""
-    pieces, extended = found.gain.pieces, found.causes and found.parameters.extended
+    extended = found.causes and found.parameters.extended
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(found.runs).items() if names)
     blocks = [
         with_names(found.headline.text, files),
@@ -233,8 +223,6 @@ def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
         _titled(PARAMETERS, parameter_table(found)) if extended else "",
         _titled("Present, not material:", size_table(found.immaterial)),
         "\n".join(filter(None, [errors_on_held_out(found), gap_text(found)])),
-        "" if pieces is UNSET else _titled(f"The same runs, {piece_words(pieces)[0]}:", piece_table(pieces),
-                                           piece_words(pieces)[1]),
         _candidates(found),
         "\n".join(["Cannot be tested here:", *(f"  {effect_label(one.effect, one.joint)}: {one.why}"
                                                for one in found.not_testable)]) if found.not_testable else "",

@@ -8,7 +8,9 @@ from numpy.random import default_rng
 
 from estimator import FitError
 from estimator.diagnosis import MATERIAL, procedure
+from estimator.diagnosis.decision_rule import DECIDING_S
 from estimator.diagnosis.family import measure_all, measure_first
+from estimator.diagnosis.gain import gains_by_horizon
 from estimator.diagnosis.procedure import Begun, with_smoothing_velocity
 from estimator.diagnosis.train_errors import errs_less, floor_of_best, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
@@ -58,6 +60,18 @@ def test_both_hidden_causes_are_the_answer_and_each_is_needed() -> None:
     assert table.error(0) > 10.0 and table.error(rows.answer.row) < 1.2
     assert min(table.error(k) for k in rows.answer.without) > 2.0
     assert probability_of(found, table, rows, table, MATERIAL) == pytest.approx(1.0)
+
+
+def test_the_gain_is_measured_at_each_horizon_that_decides() -> None:
+    one = searched(drag=DRAG)
+    table, row = measure_first(one.family, default_rng(1)), one.family.rows.answer.row
+    found = gains_by_horizon(table, row)
+    assert tuple(gain.horizon_s for gain in found) == DECIDING_S
+    for gain in found:
+        squares = table.values[[0, row]][:, :, [h == gain.horizon_s for _, h in table.columns]].mean(axis=(1, 2))
+        assert gain.ratio == pytest.approx(np.sqrt(squares[1] / squares[0]))
+        assert gain.ci95[0] <= gain.ratio <= gain.ci95[1] < 0.3
+    assert {(gain.ratio, *gain.ci95) for gain in gains_by_horizon(table, 0)} == {(1.0, 1.0, 1.0)}
 
 
 def test_each_run_is_a_test_run_once_with_every_model_fitted_anew() -> None:

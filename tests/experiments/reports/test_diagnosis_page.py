@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator import Diagnosis, Verdict
-from estimator.diagnosis import Remainder, SensorGain, ShortRuns
+from estimator.diagnosis import HorizonGain, Remainder, SensorGain
 from estimator.model import leg2
 from experiments.documents import DiagnosisDocument
 from experiments.reports import (
@@ -56,12 +56,12 @@ def test_document_is_the_contract() -> None:
     assert DiagnosisDocument.of(synthetic()).document == read_json(CONTRACT)
 
 
-def test_errors_of_short_runs_have_rows_of_their_own() -> None:
-    found = replace(synthetic(), short=ShortRuns(1.0, {"q1_rad": SensorGain(0.02, 0.01, 0.009)}, 0.9, (0.7, 1.0)))
-    assert DiagnosisDocument.of(found).document["gain"]["pieces"] == {
-        "horizon_s": 1.0, "rmse": {"q1_rad": {"before": 0.02, "after": 0.01, "floor": 0.009}}, "gap_closed": 0.9,
-        "gap_closed_ci95": [0.7, 1.0]}
-    assert "pieces of 1 s" in text_of(found)
+def test_the_gain_is_stated_by_horizon() -> None:
+    found = replace(synthetic(), by_horizon=(HorizonGain(0.1, 0.5, (0.4, 0.62)), HorizonGain(np.inf, 1.2, (0.9, 1.5))))
+    assert DiagnosisDocument.of(found).document["gain"]["by_horizon"] == [
+        {"horizon_s": 0.1, "ratio": 0.5, "ci95": [0.4, 0.62]}, {"horizon_s": None, "ratio": 1.2, "ci95": [0.9, 1.5]}]
+    told = "over that of the nominal one: 0.5 [0.4, 0.62] over 0.1 s, 1.2 [0.9, 1.5] over whole runs."
+    assert told in text_of(found) and told in page_of(found) and "nominal one:" not in text_of(synthetic())
 
 
 @pytest.mark.parametrize(("probability", "told"), [(0.874, "0.87"), (1.0, "above 0.99"), (None, "")])
