@@ -19,12 +19,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 
 from daq import FloatArray
 from estimator.fitting import PASSIVE_SHARE
 from estimator.likelihood import REST_SPREAD, slack_of
 from estimator.model import Collocation, Mechanism, simulate
+from estimator.numerics import BlockTridiagonal, eliminate, solve_bidiagonal
 
 SMOOTH_RADPS = 0.03
 """Least friction smoothing velocity here: smaller ones make the criterion rough for the optimiser."""
@@ -112,13 +112,10 @@ class PlanInformation:
         at_ends = rows.swapaxes(1, 2) @ border
         right[:-1] += at_ends[:, :b]
         right[1:] += at_ends[:, b:]
-        factor = cholesky_banded(_banded(diagonal, local[:, b:, :b]), lower=True, check_finite=False)
-        y = cho_solve_banded((factor, True), right.reshape(-1, p), check_finite=False)
-        corner = np.einsum("krp,krq->pq", border, border)
-        information = corner - right.reshape(-1, p).T @ y
-        ends = y.reshape(count, b, p)
+        solved = eliminate(BlockTridiagonal.of(diagonal, local[:, b:, :b], right.reshape(-1, p)))
+        ends = solved.solutions()
         residual = border - rows @ np.concatenate([ends[:-1], ends[1:]], axis=1)
-        return Eliminated(0.5 * (information + information.T), ends, residual, jac)
+        return Eliminated(np.einsum("krp,krq->pq", border, border) - solved.product(), ends, residual, jac)
 
     def _torque_weight(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """1 / variance of torque samples (N, n), and its derivative by v: a joint near rest holds any torque."""
@@ -159,17 +156,11 @@ class PlanInformation:
 
     def by_torque(self, at: Eliminated, by_q: FloatArray, by_v: FloatArray) -> FloatArray:
         """Gradient by the driven joint's torque (N,) of what has these gradients by the motion: the adjoint."""
-        n, count = self.n, len(by_q) - 1
-        b = 2 * n
-        rows = at.jacobian.transpose(4, 1, 0, 2, 3).reshape(count, b, 2, b)  # equation (g, j); end; variable
-        band = np.zeros((3 * b - 1, count * b))  # of the transpose: lower width b - 1, upper width 2 b - 1
-        for i in range(b):
-            for j in range(b):
-                band[2 * b - 1 + j - i, i::b] = rows[:, i, 1, j]
-                band[b - 1 + j - i, b + i :: b] = rows[1:, i, 0, j]
-        right = np.concatenate([by_q[1:], by_v[1:]], axis=1).ravel()
-        multiplier = solve_banded((b - 1, 2 * b - 1), band, right, overwrite_ab=True, overwrite_b=True,
-                                  check_finite=False).reshape(count, 2, n)[:, :, self.driven]
+        count, b = len(by_q) - 1, 2 * self.n
+        left, own = at.jacobian.transpose(2, 3, 1, 0, 4).reshape(2, b, b, count)  # variable, equation, interval
+        blocks = np.stack([np.roll(left, -1, axis=-1), own], axis=1)[..., ::-1]  # the last interval first
+        right = np.concatenate([by_q[1:], by_v[1:]], axis=1).T[:, ::-1]
+        multiplier = solve_bidiagonal(blocks, right)[::-1].reshape(count, 2, self.n)[:, :, self.driven]
         weights = self.collocation.torque_weights
         out = np.zeros(count + 1)
         out[:-1] += multiplier @ weights[:, 0]
@@ -189,15 +180,3 @@ class Eliminated:
     """(N - 1, 2 n, p) the equation of motion's rows of J_beta - J_x Y."""
     jacobian: FloatArray
     """(n, 2, 4, n, N - 1) of the equation of motion, unscaled."""
-
-
-def _banded(diagonal: FloatArray, lower: FloatArray) -> FloatArray:
-    """Lower band form of a symmetric block-tridiagonal matrix; diagonal (N, b, b), lower (N - 1, b, b)."""
-    count, b, _ = diagonal.shape
-    band = np.zeros((2 * b, count * b))
-    for i in range(b):
-        for j in range(b):
-            if i >= j:
-                band[i - j, j::b] = diagonal[:, i, j]
-            band[b + i - j, j : (count - 1) * b : b] = lower[:, i, j]
-    return band
