@@ -41,7 +41,7 @@ from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_likeliest, grown, pairs_of, search
 from estimator.diagnosis.structure import with_structure
-from estimator.diagnosis.train_errors import errs_less, train_table
+from estimator.diagnosis.train_errors import surely_errs_less, train_table
 from estimator.diagnosis.uses import with_uses
 from estimator.diagnosis.verdict import decide, probability_of
 from estimator.effects import battery, library
@@ -189,7 +189,7 @@ def with_smoothing_velocity(begun: Begun, stated: Mechanism) -> Model | None:
     """The nominal model with its smoothing velocity estimated from `stated` together with the likeliest of the effects
     of the largest scores and of generic terms; None if it stays.
 
-    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it. It stays unless the other one
+    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it. It stays where it surely
     predicts train runs better that are left out.
     """
     context = begun.context
@@ -203,6 +203,7 @@ def with_smoothing_velocity(begun: Begun, stated: Mechanism) -> Model | None:
         if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales):
             return None
         nominal = nominal_model(replace(context.split, mechanism=found, stiction={}), nearby(context.nominal))
-        return nominal if errs_less(refit(nominal, pairs_of(likeliest)), likeliest, context.rng) else None
+        again = refit(nominal, pairs_of(likeliest))
+        return None if surely_errs_less(likeliest, again, context.rng) else nominal
     except FIT_ERRORS:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, with_generic
+from estimator.diagnosis.decision_rule import SURE
 from estimator.diagnosis.error_table import ErrorTable, floors_of, judged
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.model import Model, predicted_left_out, score_train
@@ -55,15 +56,15 @@ def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: 
     return judged(unit, runs, floors, range(len(every)), context.rng)
 
 
-def errs_less(model: Model, than: Model, rng: np.random.Generator) -> bool:
-    """Whether free runs of the train runs, each predicted by a fit to the others, err less by `model`.
+def surely_errs_less(model: Model, than: Model, rng: np.random.Generator) -> bool:
+    """Whether free runs of the train runs, each predicted by a fit to the others, surely err less by `model`.
 
     The unit of each sensor and horizon is the lesser error of both. Raises `FitError`.
     """
     train = model.split.train
     one, other = (left_out_runs(m, (), train) for m in (model, than))
     table = judged(model, [together(one[run], other[run]) for run in train], [np.full(1, np.inf)], range(2), rng)
-    return table.error(0) < table.error(1)
+    return table.lowers(0, 1, 0.0, 1) >= SURE
 
 
 def left_out_runs(model: Model, scores: Sequence[Score], runs: Sequence[int]) -> dict[int, PredictedRun]:

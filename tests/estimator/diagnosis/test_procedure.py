@@ -12,7 +12,7 @@ from estimator.diagnosis.decision_rule import DECIDING_S
 from estimator.diagnosis.family import measure_all, measure_first
 from estimator.diagnosis.gain import gains_by_horizon
 from estimator.diagnosis.procedure import Begun, with_smoothing_velocity
-from estimator.diagnosis.train_errors import errs_less, floor_of_best, train_table
+from estimator.diagnosis.train_errors import floor_of_best, surely_errs_less, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
 from estimator.model import joint1
 from tests.support.driven_pendulum import SMOOTHING, Searched, mechanism, pendulum_runs, search_runs, searched
@@ -121,13 +121,13 @@ def test_where_the_answer_cannot_be_simulated_the_nominal_model_is_the_unit() ->
 def test_the_model_with_the_cause_predicts_the_runs_left_out_better() -> None:
     one = searched(drag=DRAG)
     answer, nominal = one.found[0].model, one.context.nominal
-    assert errs_less(answer, nominal, default_rng(0)) and not errs_less(nominal, answer, default_rng(0))
-    assert not errs_less(answer, answer, default_rng(0))
+    assert surely_errs_less(answer, nominal, default_rng(0)) and not surely_errs_less(nominal, answer, default_rng(0))
+    assert not surely_errs_less(answer, answer, default_rng(0))
 
 
 @pytest.mark.parametrize("fitted, found, stays", [
     (SMOOTHING, SMOOTHING, True), (SMOOTHING, 40.0 * SMOOTHING, True), (40.0 * SMOOTHING, SMOOTHING, False)])
-def test_another_smoothing_velocity_is_taken_where_it_predicts_the_runs_left_out_better(
+def test_another_smoothing_velocity_is_refused_where_it_predicts_the_runs_left_out_worse(
         monkeypatch: pytest.MonkeyPatch, fitted: float, found: float, stays: bool) -> None:
     """Friction without a step, as with 2 rad/s, is no friction of this pendulum."""
     one = search_runs(pendulum_runs(4, drag=DRAG), fitted)
