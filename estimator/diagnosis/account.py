@@ -43,7 +43,7 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     row = NOMINAL if decision.answer is None else decision.answer.row
     found = replace(base, material=context.share, budget=budget(table, decision.answer), rotations=rotations,
                     error=(table.error(NOMINAL), table.error(row)),
-                    by_horizon=gains_by_horizon(table, row) if row else (),
+                    by_horizon=gains_by_horizon(table, row) if row and decision.verdict != "none" else (),
                     compared=compared(family, first), in_library=probability,
                     probability=probability and min(probability, calibrated(probability)),
                     remainder=remainder(family, decision))

@@ -8,6 +8,7 @@ from numpy.random import default_rng
 
 from estimator import FitError
 from estimator.diagnosis import MATERIAL, procedure
+from estimator.diagnosis.account import base, describe
 from estimator.diagnosis.decision_rule import DECIDING_S
 from estimator.diagnosis.family import measure_all, measure_first
 from estimator.diagnosis.gain import gains_by_horizon
@@ -15,6 +16,7 @@ from estimator.diagnosis.procedure import Begun, with_smoothing_velocity
 from estimator.diagnosis.train_errors import floor_of_best, surely_errs_less, train_table
 from estimator.diagnosis.verdict import UNCHANGED, decide, probability_of
 from estimator.model import joint1
+from estimator.verdicts import Verdict
 from tests.support.driven_pendulum import SMOOTHING, Searched, mechanism, pendulum_runs, search_runs, searched
 
 DRAG, SPRING = 0.03, 0.4
@@ -72,6 +74,18 @@ def test_the_gain_is_measured_at_each_horizon_that_decides() -> None:
         assert gain.ratio == pytest.approx(np.sqrt(squares[1] / squares[0]))
         assert gain.ci95[0] <= gain.ratio <= gain.ci95[1] < 0.3
     assert {(gain.ratio, *gain.ci95) for gain in gains_by_horizon(table, 0)} == {(1.0, 1.0, 1.0)}
+
+
+def test_a_gain_is_stated_of_an_answer_alone() -> None:
+    """Of a cause that hardly changes the simulation no extended model is told, so no errors of one."""
+    one = searched(drag=DRAG)
+    table = measure_first(one.family, default_rng(1))
+    found = decide(table, one.family.rows, MATERIAL)
+    answers: list[tuple[Verdict, list[float]]] = [("named", list(DECIDING_S)), ("none", [])]
+    for verdict, horizons in answers:
+        told = describe(one.context, base(one.context.nominal, {}, None), one.family,
+                        replace(found, verdict=verdict), table, table, (), None, default_rng(0))
+        assert (told.verdict, [gain.horizon_s for gain in told.by_horizon]) == (verdict, horizons)
 
 
 def test_each_run_is_a_test_run_once_with_every_model_fitted_anew() -> None:
