@@ -277,7 +277,7 @@ def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
                 "time is for two idle cores."]
     yield table("family | sizes in their 95 % intervals | wall time [s] | processor time [s]", [
         *((family, _cell(sizes(own)), _times(own, "wall_s"), _times(own, "cpu_s"))
-          for family, own in _families(answers)), "target | 93 to 97 % | 8, 20, 40 | -"])
+          for family, own in _families(answers)), "target | 93 to 97 % | 4, 12, 30 | -"])
 
 
 def _times(answers: Iterable[Answer], key: str) -> str:

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if args.each:
         return _each(args)
     runs, chosen = given_runs(args, args.runs)
-    with busy(f"fitting {len(runs)} runs by {args.method}"):
+    with busy(f"fitting by {args.method}"):
         found = legid.fit(runs, chosen, args.method, args.sensors, dict(args.fix), args.latent)
     files = Files(args.runs, chosen.file, args.model_out)
     return answer(args, found, found.text(files), files)
