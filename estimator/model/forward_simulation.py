@@ -70,7 +70,9 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
     q[0], v[0] = q0, qd0
     if guess is not None and n > 1:
-        found = _newton(equation, slice(0, n - 1), (*_pinned(guess, q0, qd0), equation.states(n)))
+        near_q, near_v = guess[0].copy(), guess[1].copy()
+        near_q[0], near_v[0] = q0, qd0
+        found = _newton(equation, slice(0, n - 1), (near_q, near_v, equation.states(n)))
         if found is not None:
             q, v = found[:2]
             if restarts is not None:  # to the last bit
@@ -146,12 +148,6 @@ class _Equation:
             for row in range(len(out)):
                 out[row, 1, row, given] = 1.0
         return out
-
-
-def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArray) -> tuple[FloatArray, FloatArray]:
-    q, v = guess[0].copy(), guess[1].copy()
-    q[0], v[0] = q0, qd0
-    return q, v
 
 
 def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
