@@ -1,25 +1,33 @@
-"""`cause_of_disturbance`: a listed effect that explains most of a coloured disturbance, which is then no noise."""
+"""`with_disturbance`: a fit with coloured torques as noise, unless a listed effect explains most of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from estimator.effects import Effect
+from estimator.errors import FitError
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.disturbance import (
     Disturbance,
+    alike,
     disturbance_likelihood,
+    disturbed_problem,
     find_disturbance,
+    most_disturbance,
     of_noise,
     predicts_worse,
 )
 from estimator.fitting.extension import Fitted, extend, extended
+from estimator.fitting.gauss_newton import Policies, descend
+from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.omitted_effects import small_effects, with_candidates
+from estimator.fitting.profile_likelihood import suits
 from estimator.free_runs import FittedModel
-from estimator.likelihood import LatentProblem
+from estimator.likelihood import LatentProblem, State
 from estimator.score import columns_of, project, score_at
 from estimator.signals import SignalSet
 
@@ -27,6 +35,45 @@ MOST_LEFT = 0.5
 """Share of a disturbance's slow part that may be left together with an effect that explains it."""
 TRIED = 4
 """Effects that are tried, by the likelihood that their scores promise."""
+ROUNDS = 3
+"""Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
+
+
+def with_disturbance(fitted: Fitted) -> Fitted:
+    """The fit with coloured disturbances at the joints that ask for one.
+
+    The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
+    does not converge, where its parameters predict worse, and where a listed effect explains most of them.
+    """
+    problem, state, signals, free, options, *_ = fitted
+    if not state.converged or suits(signals, problem.mechanism, options) or options.torque_correlation:
+        return fitted
+    begin = of_noise(state.noise)
+    for _ in range(ROUNDS):
+        found = find_disturbance(disturbance_likelihood(signals, problem, state), begin, options)
+        if not found.level.any() or float(found.level.max()) > 0.99 * most_disturbance(problem):
+            return fitted
+        if alike(begin, found):
+            break
+        begin = found
+        problem = disturbed_problem(signals, problem)
+        x = state.x if state.x.e is not None else replace(state.x, e=np.zeros_like(state.x.u))
+        state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
+        try:
+            floors = noise_floors(problem, problem.mechanism, state.beta)
+            state = descend(problem, state, free, Policies.of(options, floors, levels_by_run=True))
+        except FitError:
+            return fitted
+        if not state.converged:
+            return fitted
+    mechanism, hold = problem.mechanism, problem.collocation.hold
+    bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (fitted.state, state))
+    if problem.disturbed and predicts_worse(signals, options, bare, kept):
+        return fitted
+    cause = cause_of_disturbance(fitted, (begin, kept)) if problem.disturbed else None
+    return fitted._replace(problem=problem, state=state) if cause is None else fitted._replace(said=(
+        *fitted.said, f"a slow torque error is not taken for noise: {cause.key} explains most of it. "
+        "Run legid diagnose"))
 
 
 def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
@@ -36,7 +83,7 @@ def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedMod
     place, and the likeliest disturbance is sought anew with each. One with which a second is predicted worse explains
     nothing: the fit without a disturbance may have gone astray, and the disturbance is small there.
     """
-    (problem, state, signals, _, options), (found, kept) = fitted, disturbed
+    (problem, state, signals, _, options, *_), (found, kept) = fitted, disturbed
     for effect in _promising(fitted):
         size = np.append(np.zeros(len(effect.sizes)), effect.usual or ())
         try:
@@ -68,7 +115,7 @@ def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalS
 
 def _promising(fitted: Fitted) -> list[Effect]:
     """Effects of usual shapes whose scores promise most likelihood, the first TRIED."""
-    problem, state, signals, free, options = fitted
+    problem, state, signals, free, options, *_ = fitted
     candidates = small_effects(problem)
     if not candidates:
         return []

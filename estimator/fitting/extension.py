@@ -14,6 +14,7 @@ from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Noise, Stage, State
 from estimator.options import FitOptions
+from estimator.result import LoopTerm
 from estimator.signals import SignalSet
 
 Extra = tuple[tuple[Effect, FloatArray], ...]
@@ -21,20 +22,27 @@ Extra = tuple[tuple[Effect, FloatArray], ...]
 
 
 class Fitted(NamedTuple):
-    """A fit that terms are added to."""
+    """A fit, to which each of `mle.ADDED` adds a term where the records ask for it."""
 
     problem: LatentProblem
     state: State
+    """Without the sizes of what is `extra`"""
     signals: list[SignalSet]
     free: BoolArray
     options: FitOptions
+    extra: Extra = ()
+    loop: tuple[LoopTerm, ...] = ()
+    said: tuple[str, ...] = ()
+    """Sentences about what was added, or was not"""
 
-    def with_sizes(self, extra: Extra) -> tuple[LatentProblem, State]:
-        """Its problem and state with terms of some size."""
-        if not extra:
+    @property
+    def whole(self) -> tuple[LatentProblem, State]:
+        """Its problem and state with what is `extra`."""
+        if not self.extra:
             return self.problem, self.state
-        beta = np.concatenate([self.state.beta, *(size for _, size in extra)])
-        return extended(self.problem, self.signals, [effect for effect, _ in extra]), replace(self.state, beta=beta)
+        beta = np.concatenate([self.state.beta, *(size for _, size in self.extra)])
+        effects = [effect for effect, _ in self.extra]
+        return extended(self.problem, self.signals, effects), replace(self.state, beta=beta)
 
 
 def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect]) -> LatentProblem:
@@ -53,7 +61,7 @@ def extend(fitted: Fitted, extra: Extra, sought: BoolArray, noise: Noise) -> tup
 
     Raises `FitError`.
     """
-    wide, begin = fitted.with_sizes(extra)
+    wide, begin = fitted._replace(extra=extra).whole
     begin = replace(begin, noise=noise, covariance=np.zeros((begin.beta.size,) * 2))
     return wide, iterate(wide, begin, np.append(fitted.free, sought), fitted.options,
                          noise_floors(wide, wide.mechanism, fitted.state.beta))

@@ -18,7 +18,6 @@ from estimator.fitting.excerpt import excerpt
 from estimator.fitting.extension import Fitted, extend, without_sizes
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
-from estimator.likelihood import State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import TWO_SIDED
@@ -63,34 +62,40 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0) -> tuple[State, float | None, str]:
+def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0, aged: bool = False) -> Fitted:
     """The fit with the IMU's time line free against the controller's, and a sentence about it.
 
-    `bound_s` is 0 where no clock says how late the readings are; they were moved by `age_s` already.
+    `bound_s` is 0 where no clock says how late the readings are; they are `aged` where a fit shows it, and were moved
+    by `age_s` already.
 
     Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
     state = fitted.state
+    if not (bound_s > 0.0 or aged) or not fitted.problem.has_imu or fitted.extra:
+        return fitted
     _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
-    late = skew + age_s
+    late, kept = skew + age_s, False
     if bound_s == 0.0:
+        kept = again.converged and abs(late) < LATEST_S
         told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
-                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected")
-        return (without_sizes(state, again), skew, told) if again.converged and abs(late) < LATEST_S else (
-            state, None, "this motion does not determine how late the IMU is")
-    if not again.converged or std > bound_s:
-        return state, None, (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the "
-                             "motion does not determine it better")
-    if abs(late) > bound_s:
-        return state, None, (f"the IMU would fit best {_late(late)} against the controller, more than the "
-                             f"{bound_s * 1e6:.0f} us that clocks and [imu] leave open. This is not corrected, because "
-                             "something else is wrong: run legid diagnose")
-    told = (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
-            f"(known: within {bound_s * 1e6:.0f} us); corrected")
-    return without_sizes(state, again), skew, told
+                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected") if kept else (
+                    "this motion does not determine how late the IMU is")
+    elif not again.converged or std > bound_s:
+        told = (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the motion does not "
+                "determine it better")
+    elif abs(late) > bound_s:
+        told = (f"the IMU would fit best {_late(late)} against the controller, more than the {bound_s * 1e6:.0f} us "
+                "that clocks and [imu] leave open. This is not corrected, because something else is wrong: run legid "
+                "diagnose")
+    else:
+        kept, told = True, (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by "
+                            f"this motion (known: within {bound_s * 1e6:.0f} us); corrected")
+    fitted = fitted._replace(said=(*fitted.said, told))
+    return fitted if not kept else fitted._replace(state=without_sizes(state, again), extra=(
+        (SensorTimeSkew(), np.array([skew])),))
 
 
 def _late(skew_s: float) -> str:

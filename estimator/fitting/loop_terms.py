@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from daq import Loop
 from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
 from estimator.fit_errors import FIT_ERRORS
-from estimator.fitting.extension import Extra, Fitted, extend, without_sizes
+from estimator.fitting.extension import Fitted, extend, without_sizes
 from estimator.fitting.latent_motion import marginal_of
-from estimator.likelihood import LatentProblem, State
 from estimator.result import TWO_SIDED, LoopTerm
 from estimator.score import Score, robust_covariance
 from estimator.signals import SignalSet
@@ -31,42 +29,30 @@ LEAST_GAIN, SURE = 0.01, 3.3
 """Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
 
 
-class Loops(NamedTuple):
-    """A fit with the terms of its loops."""
+def with_loop_terms(fitted: Fitted, keys: Sequence[str] | None = None, unlimited: bool = False) -> Fitted:
+    """The fit with the values `keys`, by default all unknown ones, of every loop that makes the torque of its joint.
 
-    state: State
-    """Without their sizes"""
-    whole: tuple[LatentProblem, State]
-    """With them"""
-    extra: Extra = ()
-    terms: tuple[LoopTerm, ...] = ()
-
-
-def with_loop_terms(fitted: Fitted, keys: Sequence[str], unlimited: bool = False) -> Loops:
-    """The fit with the values `keys` of every loop that makes the torque of its joint; with `unlimited` their limits
-    are held where no motion meets them.
-
-    It stays as it was where a fit with them does not converge.
+    With `unlimited` their limits are held where no motion meets them. It stays as it was where a fit with them does not
+    converge.
     """
-    state = fitted.state
-    plain = Loops(state, (fitted.problem, state))
+    state, keys = fitted.state, fitted.options.unknown_loop if keys is None else keys
     own = [(key, j, start) for key in KINDS if key in keys for j in fitted.problem.mechanism.followers
            if (start := _start(fitted, key, j)) is not None]
     if not own:
-        return plain
+        return fitted
     held, count = np.array([unlimited and key == "limit" for key, *_ in own]), len(own)
     starts = np.where(held, UNLIMITED, [start for *_, start in own])
     effects = [KINDS[key](j) for key, j, _ in own]
     try:
-        wide, again = extend(fitted, tuple(zip(effects, starts[:, None])), ~held, state.noise.levels())
+        _, again = extend(fitted, tuple(zip(effects, starts[:, None])), ~held, state.noise.levels())
     except FIT_ERRORS:
-        return plain
+        return fitted
     sizes, std = again.beta[-count:], np.sqrt(np.diag(again.covariance)[-count:])
     if not again.converged or not all(h or _believed(*one) for h, *one in zip(held, own, sizes)):
-        return plain
+        return fitted
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
                   for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
-    return Loops(without_sizes(state, again), (wide, again), tuple(zip(effects, sizes[:, None])), terms)
+    return fitted._replace(state=without_sizes(state, again), extra=tuple(zip(effects, sizes[:, None])), loop=terms)
 
 
 def _believed(one: tuple[str, int, float], size: float) -> bool:
@@ -82,29 +68,29 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
     """Values of loops by the runs: those of the keys `sure`, then of each other key of `options.unknown_loop` whether
     the runs show it."""
     now, limited = with_loop_terms(fitted, sure), True
-    if not now.terms and "limit" in sure:  # with values that may be zero it need not converge: one after the other
+    if not now.loop and "limit" in sure:  # with values that may be zero it need not converge: one after the other
         sure = [key for key in sure if key in ("delay_s", "limit")]
         now = with_loop_terms(fitted, sure)
-    if any(one.key == "limit" for one in now.terms):
+    if any(one.key == "limit" for one in now.loop):
         bare = with_loop_terms(fitted, sure, unlimited=True)
         limited = not bare.extra or _is_shown(now, bare)
     rest = [key for key in KINDS if key in fitted.options.unknown_loop and key not in sure]
     keys, told = list(sure), list[LoopTerm]()
     for key in rest:
-        if key == "damping" and not _tells_damping(fitted, now.terms):
+        if key == "damping" and not _tells_damping(fitted, now.loop):
             continue
         tried = with_loop_terms(fitted, [*keys, key])
-        own = [one for one in tried.terms if one.key == key]
+        own = [one for one in tried.loop if one.key == key]
         shown = any(one.value > SURE * one.std for one in own) and _is_shown(tried, now)
         told += [] if shown else [replace(one, found=False) for one in own]
         if shown:
             now, keys = tried, [*keys, key]
     sized = [replace(one, found=one.key == "delay_s" or ((one.key != "limit" or limited)
-                                                         and one.value > SURE * one.std)) for one in now.terms]
+                                                         and one.value > SURE * one.std)) for one in now.loop]
     return (*sized, *told)
 
 
-def _is_shown(larger: Loops, smaller: Loops) -> bool:
+def _is_shown(larger: Fitted, smaller: Fitted) -> bool:
     """Whether -2 log p falls by more than chance, and by a material share."""
     fall = 2.0 * (marginal_of(*larger.whole) - marginal_of(*smaller.whole))
     return fall > max(LEAST_GAIN * larger.whole[0].total, SURE**2)

@@ -15,20 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from daq import BoolArray, Dataset
-from estimator.effects import Effect, SensorTimeSkew
+from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
-from estimator.fitting.disturbance import (
-    alike,
-    disturbance_likelihood,
-    disturbed_problem,
-    find_disturbance,
-    most_disturbance,
-    of_noise,
-    predicts_worse,
-)
-from estimator.fitting.disturbance_cause import cause_of_disturbance
-from estimator.fitting.extension import Extra, Fitted
-from estimator.fitting.gauss_newton import Policies, descend, iterate
+from estimator.fitting.disturbance_cause import with_disturbance
+from estimator.fitting.extension import Fitted
+from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
@@ -46,13 +37,11 @@ from estimator.fitting.noise_levels import (
 )
 from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
-from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
 from estimator.fitting.wls import free_mask
-from estimator.free_runs import FittedModel
 from estimator.likelihood import LatentProblem, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -70,8 +59,9 @@ from estimator.signals import SignalSet, angle_column, predicted_columns, split_
 
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
-DISTURBANCE_ROUNDS = 3
-"""Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
+ADDED = with_unseen_torque, with_disturbance, with_loop_terms
+"""What a fit has beyond its nominal model where its records ask for it, in the order in which it is asked. An IMU's age
+follows: it takes the recorder's clocks as well."""
 
 
 def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
@@ -95,38 +85,28 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     stated, mechanism = mechanism, problem.mechanism
     options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
     fitted = Fitted(problem, state, signals, free, options)
-    fitted, cause = _with_disturbance(fitted._replace(state=with_unseen_torque(fitted)))
-    loops = with_loop_terms(fitted, options.unknown_loop)
-    fitted, extra, problem = fitted._replace(state=loops.state), loops.extra, fitted.problem
-    skew = found = None
-    aged = age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0)
-    if (bound_s > 0.0 or aged) and problem.has_imu and not extra:
-        state, skew, found = with_skew(fitted, bound_s, age_s)
-        fitted = fitted._replace(state=state)
-    if age_s and skew is None:
+    for add in ADDED:
+        fitted = add(fitted)
+    fitted = with_skew(fitted, bound_s, age_s, age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0))
+    if age_s and not any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.extra):
         return None
-    if skew is not None:
-        extra = ((SensorTimeSkew(), np.array([skew])),)
     if fitted.state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
-        moved = converge_motion(*fitted.with_sizes(extra))
+        moved = converge_motion(*fitted.whole)
         fitted = fitted._replace(state=replace(fitted.state, x=moved.x, noise=moved.noise))
-    state = fitted.state
+    problem, state = fitted.problem, fitted.state
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    result = replace(result, loop=loops.terms)
+    result = replace(result, loop=fitted.loop)
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
-            result = _with_scores(result, fitted, extra)
+            result = _with_scores(result, fitted)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
     result = replace(result, prior=prior, prior_conflict=_conflict(fitted, result))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    slow = None if cause is None else (f"a slow torque error is not taken for noise: {cause.key} explains most of it. "
-                                       "Run legid diagnose")
-    unseen = unseen_text(state.noise, mechanism.unit("N m"))
-    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), unseen, slow, found) if text)
-    return replace(result, assumptions=(*result.assumptions, *said))
+    said = describe_smoothing_velocity(stated, mechanism), unseen_text(state.noise, mechanism.unit("N m"))
+    return replace(result, assumptions=(*result.assumptions, *filter(None, said), *fitted.said))
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
@@ -144,7 +124,7 @@ def _conflict(fitted: Fitted, result: FitResult) -> float:
 
     sqrt(fall of -2 log p without the prior / number of known values), over the scatter between runs.
     """
-    problem, state, _, free, options = fitted
+    problem, state, _, free, options, *_ = fitted
     if not options.prior:
         return 0.0
     floors, begin = noise_floors(problem, result.mechanism, state.beta), replace(state, noise=state.noise.levels())
@@ -161,47 +141,12 @@ def _conflict(fitted: Fitted, result: FitResult) -> float:
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
-def _with_disturbance(fitted: Fitted) -> tuple[Fitted, Effect | None]:
-    """The fit with coloured disturbances at the joints that ask for one, and the effect that explains them instead.
-
-    The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
-    does not converge, where its parameters predict worse, and where a listed effect explains most of them.
-    """
-    (problem, state, signals, free, options), plain = fitted, (fitted, None)
-    if not state.converged or suits(signals, problem.mechanism, options) or options.torque_correlation:
-        return plain
-    begin = of_noise(state.noise)
-    for _ in range(DISTURBANCE_ROUNDS):
-        found = find_disturbance(disturbance_likelihood(signals, problem, state), begin, options)
-        if not found.level.any() or float(found.level.max()) > 0.99 * most_disturbance(problem):
-            return plain
-        if alike(begin, found):
-            break
-        begin = found
-        problem = disturbed_problem(signals, problem)
-        x = state.x if state.x.e is not None else replace(state.x, e=np.zeros_like(state.x.u))
-        state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
-        try:
-            floors = noise_floors(problem, problem.mechanism, state.beta)
-            state = descend(problem, state, free, Policies.of(options, floors, levels_by_run=True))
-        except FitError:
-            return plain
-        if not state.converged:
-            return plain
-    mechanism, hold = problem.mechanism, problem.collocation.hold
-    bare, kept = (FittedModel(mechanism, hold, one.beta) for one in (fitted.state, state))
-    if problem.disturbed and predicts_worse(signals, options, bare, kept):
-        return plain
-    cause = cause_of_disturbance(fitted, (begin, kept)) if problem.disturbed else None
-    return (fitted._replace(problem=problem, state=state), None) if cause is None else (fitted, cause)
-
-
-def _with_scores(result: FitResult, fitted: Fitted, extra: Extra) -> FitResult:
+def _with_scores(result: FitResult, fitted: Fitted) -> FitResult:
     """`result` with all that one score of each run says.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
-    (problem, state), (_, _, signals, free, options) = fitted.with_sizes(extra), fitted
+    (problem, state), (_, _, signals, free, options, *_) = fitted.whole, fitted
     free = np.append(free, np.ones(state.beta.size - free.size, dtype=bool))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()

@@ -22,7 +22,7 @@ from estimator.fitting.extension import Fitted
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import marginal_of
-from estimator.likelihood import LatentProblem, Noise, State
+from estimator.likelihood import LatentProblem, Noise
 
 MOVES = 0.85
 """Noise level over the activity of neighbouring samples, below which a part of that activity is motion. (Of white noise
@@ -33,14 +33,14 @@ FIRST_STEPS = 6
 level falls for tens of steps. (Of 29 fits, and of 18 fresh ones, none that is kept was less likely by then.)"""
 
 
-def with_unseen_torque(fitted: Fitted) -> State:
+def with_unseen_torque(fitted: Fitted) -> Fitted:
     """The fit with torque that no sample shows at every driven joint; as it was where nothing asks for it."""
-    problem, state, _, free, options = fitted
+    problem, state, _, free, options, *_ = fitted
     mechanism = problem.mechanism
     joints = [j for j in mechanism.actuated if options.torque_noise(j, True) is None]
     floors = noise_floors(problem, mechanism, state.beta)
     if problem.by_law or not state.converged or not joints or not _moves(problem, state.noise, joints):
-        return state
+        return fitted
     unseen = np.zeros(problem.n)
     unseen[joints] = state.noise.torque[joints]
     begin = replace(state, noise=replace(state.noise, unseen=unseen))
@@ -49,10 +49,10 @@ def with_unseen_torque(fitted: Fitted) -> State:
         for limit, more in ((FIRST_STEPS, 0.0), (MAX_ITERATIONS, 0.5 * len(joints) * np.log(problem.total))):
             found = descend(problem, begin, free, Policies.of(options, floors, levels_by_run=True), limit)
             if marginal_of(problem, found) <= least + more:
-                return state
+                return fitted
     except FIT_ERRORS:
-        return state
-    return found if found.converged else state
+        return fitted
+    return fitted._replace(state=found) if found.converged else fitted
 
 
 def _moves(problem: LatentProblem, noise: Noise, joints: list[int]) -> bool:
