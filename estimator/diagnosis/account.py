@@ -14,7 +14,7 @@ from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable
 from estimator.diagnosis.explanation import Explanation
-from estimator.diagnosis.family import FittedFamily
+from estimator.diagnosis.family import FittedFamily, with_clock, with_terms
 from estimator.diagnosis.gain import gains_by_horizon, measure_gain, smoothed_tests
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
@@ -49,16 +49,20 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
                     remainder=remainder(family, decision))
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
-    if decision.within and best is not None:
-        return tolerated(with_blind_sensors(found, first), best, p)
     if decision.verdict == "none":
-        return nothing(with_blind_sensors(found, first), best, p)
+        own = with_terms(context, Explanation(nominal, 0.0) if best is None or not decision.within else best)
+        if own.keys:
+            found = with_model(found, own)
+        small = [c for e in (best, own) if e is not None and e.keys for c in causes_of(
+            e, chance_of(context, e, e.gain, e.model.effects), found)]
+        immaterial = tuple({(c.effect, c.joint): c for c in small}.values())
+        return (tolerated if decision.within else nothing)(with_blind_sensors(found, first), immaterial)
     if decision.verdict == "unexplained" or decision.answer is None:
         return unexplained(found, nominal, best, decision.why, rng, family.noise, p)
-    if decision.minor is not None and best is not None:
-        added = [e for e in decision.minor.model.effects if e.key not in best.keys]
-        found = with_minor(found, best, decision.minor, chance_of(context, decision.minor, decision.minor.gain, added))
-    told = [family.account_of(decision.answer.best[0]), *decision.answer.best[1:]]
+    answer, *others = decision.answer.best
+    if decision.minor is not None:
+        answer = with_minor(answer, decision.minor)
+    told = [with_clock(context, with_terms(context, answer)), *others]
     return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
 
 
@@ -185,8 +189,8 @@ def remainder_of(model: Model) -> Remainder | None:
     return None
 
 
-def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float = 1.0) -> Diagnosis:
-    """Verdict `none`; `small`, with its p-value, holds what is there but hardly changes the simulation."""
+def nothing(found: Diagnosis, immaterial: tuple[Cause, ...] = ()) -> Diagnosis:
+    """Verdict `none`; `immaterial` are there, but hardly change the simulation."""
     best = found.candidates[0] if found.candidates else None
     sentence = "These runs show no error beyond noise"
     if best is not None:
@@ -196,7 +200,6 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
         sentence = (f"No material error beyond noise. The residual resembles {label(best.effect, best.joint)} "
                     f"(p = {best.p_value:.2g}, corrected for all effects tried), but that effect does not reduce the "
                     "free-run error of the held-out runs")
-    immaterial = () if small is None else tuple(causes_of(small, p_value, found))
     if immaterial:
         told = " and ".join(label(c.effect, c.joint) for c in immaterial)
         verb = ("is present, but does not surely reduce" if len(immaterial) == 1 else
@@ -224,9 +227,8 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
                    "detectable sizes fall with the square root of their number.")
 
 
-def tolerated(found: Diagnosis, best: Explanation, p_value: float) -> Diagnosis:
+def tolerated(found: Diagnosis, causes: tuple[Cause, ...]) -> Diagnosis:
     """Verdict `none` where what is there and changes the simulation is within the tolerances of the rig."""
-    causes = tuple(causes_of(best, p_value, found))
     told = "; ".join(f"{label(c.effect, c.joint)}, {sizes_text(c)}" for c in causes)
     before, after = found.error or (np.nan, np.nan)
     return replace(found, verdict="none", immaterial=causes, sentence=(
@@ -293,13 +295,9 @@ def _where(found: Diagnosis) -> str:
 def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
               rng: np.random.Generator) -> Diagnosis:
     """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
-    model, covariance = best.model, best.covariance
-    names, std = model.split.mechanism.names, np.sqrt(np.diag(covariance))
-    found = replace(
-        found, extended=dict(zip(names, map(float, model.state.beta))), extended_std=dict(zip(names, map(float, std))),
-        effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
-        extended_covariance=covariance,
-        signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))
+    model = best.model
+    found = replace(with_model(found, best), signatures=tuple(
+        s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
         gain = measure_gain(model, smoothed_tests(nominal, model), rng, noise)
     except FitError as error:
@@ -309,6 +307,16 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
         found = replace(found, warnings=(*found.warnings, *unsure))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
+
+
+def with_model(found: Diagnosis, best: Explanation) -> Diagnosis:
+    """`found` with the extended parameters of `best`."""
+    model, covariance = best.model, best.covariance
+    names, std = model.split.mechanism.names, np.sqrt(np.diag(covariance))
+    return replace(
+        found, extended=dict(zip(names, map(float, model.state.beta))), extended_std=dict(zip(names, map(float, std))),
+        effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
+        extended_covariance=covariance)
 
 
 def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> list[Cause]:
@@ -349,20 +357,9 @@ def interval(model: Model, effect: Effect, value: float, half: float) -> tuple[f
     return min(near) - half, max(near) + half
 
 
-def with_minor(found: Diagnosis, best: Explanation, more: Explanation, p_value: float) -> Diagnosis:
-    """`found` with the causes of `more` in addition to those of `best` as immaterial ones, with this p-value.
-
-    And with a warning for each size of `best` that is out of its interval in `more`.
-    """
-    own = {(c.effect, c.joint): {s.name: s for s in c.size} for c in causes_of(best, p_value, found)}
-    every = causes_of(more, p_value, found)
-    minor = tuple(c for c in every if (c.effect, c.joint) not in own)
-    told = " and ".join(label(c.effect, c.joint) for c in minor)
-    moved = [(c, s) for c in every for s in c.size if (one := own.get((c.effect, c.joint), {}).get(s.name)) is not None
-             and not one.ci95[0] <= s.value <= one.ci95[1]]
-    warnings = [f"the {s.name.replace('_', ' ')} of {label(c.effect, c.joint)} is {s.value:.3g} with {told} in the "
-                "model, too; its interval does not allow for that" for c, s in moved]
-    return replace(found, immaterial=minor, warnings=(*found.warnings, *warnings))
+def with_minor(answer: Explanation, more: Explanation) -> Explanation:
+    """The `answer` as it is fitted together with the further effect of `more`, which is `within`."""
+    return replace(more, gain=answer.gain, within=answer.within | more.keys - answer.keys)
 
 
 def undetermined_sizes(explanation: Explanation) -> list[str]:

@@ -62,15 +62,14 @@ class DiagnosisContext:
     rng: np.random.Generator
     share: float = MATERIAL
     """Least relative reduction of the free-run error that counts"""
+    terms: Sequence[Effect] = ()
+    """Effects that a fit of the train runs would choose as terms of its nominal model"""
     biases: dict[int, list[FloatArray]] = field(default_factory=dict)
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters and then of all candidates, one a train run"""
-    held: dict[bytes, Model] = field(default_factory=dict)
-    """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
-    and ..."""
     whole: dict[bytes, Model] = field(default_factory=dict)
-    """... of any fit to its end with shapes free; see `search.key_of`"""
+    """Start of a fit to its end; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:

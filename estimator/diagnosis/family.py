@@ -21,7 +21,7 @@ from estimator.diagnosis.model import Model, gain_over, nominal_model, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
-from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, train_table
+from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, surely_errs_less, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
@@ -43,12 +43,6 @@ class FittedFamily:
     """... and the noise of that floor: of the largest model"""
     smoothers: tuple[int, ...]
     """Rows that may supply an angle that no sensor reads"""
-    told: tuple[Explanation, ...] = ()
-    """The first explanation of each answer, with the IMU's time line free where the recorder's clocks leave it open"""
-
-    def account_of(self, best: Explanation) -> Explanation:
-        """The explanation as it is told of."""
-        return next((e for e in self.told if e.left is best.left), best)
 
 
 class _Rows:
@@ -89,9 +83,7 @@ def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: 
                          minor=None if minor is None else (minor, rows.of(minor.model)))
     tried = (NOMINAL,) if family.answer is None else (NOMINAL, family.answer.row)
     family = replace(family, hidden=tuple(h for row in tried if (h := hidden_motion(rows, row)) is not None))
-    told = tuple(with_clock(context, a.best[0]) for a in (family.answer, family.second) if a is not None)
-    noise = noise_of(largest or context.nominal)
-    return FittedFamily(family, tuple(rows.models), tried[-1], noise, tried, told)
+    return FittedFamily(family, tuple(rows.models), tried[-1], noise_of(largest or context.nominal), tried)
 
 
 def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation], parts: Sequence[Explanation],
@@ -102,6 +94,24 @@ def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation],
     answer = Answer(tuple(one.with_zero_within() for one in best), rows.of(first),
                     tuple(rows.of(part.model) for part in parts), rows.of(extended), imitating)
     return answer, extended
+
+
+def with_terms(context: DiagnosisContext, explanation: Explanation) -> Explanation:
+    """Re-fitted with the terms that slow torque asks for, all `within`, where train runs that are left out surely err
+    less by them; as it was otherwise."""
+    model, own = explanation.model, explanation.keys
+    more = [e for e in context.terms if e.key not in own]
+    if not more:
+        return explanation
+    try:
+        again = refit(model, [*pairs_of(model), *((e, np.zeros(len(e.sizes))) for e in more)])
+        if not surely_errs_less(again, model, context.rng):
+            return explanation
+    except FIT_ERRORS:
+        return explanation
+    (found,) = assess(context, [replace(explanation, model=again, left=NO_TESTS)])
+    return replace(found, gain=explanation.gain + gain_over(model, again) / found.left.scatter,
+                   within=explanation.within | found.within | {e.key for e in more})
 
 
 def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:

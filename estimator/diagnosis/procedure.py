@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
@@ -39,7 +39,7 @@ from estimator.diagnosis.family import family_of, measure_all, measure_first
 from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearby, nominal_model, refit
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
-from estimator.diagnosis.search import fit_likeliest, grown, pairs_of, search
+from estimator.diagnosis.search import fit_sets, grown, pairs_of, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.train_errors import surely_errs_less, train_table
 from estimator.diagnosis.uses import with_uses
@@ -59,8 +59,11 @@ from estimator.score import ScoreTests
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
              seed: int = 0, progress: Progress | None = None,
              reference: Mapping[str, tuple[float, float]] | None = None, workers: int | None = None,
-             material: float = MATERIAL) -> Diagnosis:
+             material: float = MATERIAL, terms: Callable[[Sequence[Dataset]], Collection[str]] = lambda _: ()
+             ) -> Diagnosis:
     """Diagnose the runs of one rig, in the order of recording.
+
+    `terms` says which optional parameters, such as torque_offset_2, a fit of some runs would choose; none by default.
 
     `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
     payload. Independent fits share `workers` processes, by default one a core. Data that cannot be diagnosed give the
@@ -81,7 +84,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             delays = (delay_s, *others_s) if delay_s else ()
             split = replace(split, mechanism=mechanism, delays_s=delays, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))
-            found = _diagnose(split, near, seed, say, reference, material, stated if seeks else None)
+            found = _diagnose(split, near, seed, say, reference, material, stated if seeks else None, terms(seen))
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -91,10 +94,10 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
-              reference: Mapping[str, tuple[float, float]] | None, material: float, stated: Mechanism | None
-              ) -> Diagnosis:
+              reference: Mapping[str, tuple[float, float]] | None, material: float, stated: Mechanism | None,
+              wanted: Collection[str]) -> Diagnosis:
     """The diagnosis of runs that are split, from their fit `near`; friction's smoothing velocity is estimated from
-    `stated`, if given."""
+    `stated`, if given. A fit would choose the `wanted` terms."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     load_compiler()
@@ -113,6 +116,8 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
             begun = anew(other, begun.context.bias)
     found = searched(begun, say)
     context = begun.context
+    context.terms = [e for e in effects if wanted and
+                     f"{e.name}_{1 + (split.mechanism.actuated[0] if e.joint is None else e.joint)}" in wanted]
     base = account.base(context.nominal, refused, reference)
     base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests))
     say("simulating the held-out runs", 0.85)
@@ -193,8 +198,8 @@ def with_smoothing_velocity(begun: Begun, stated: Mechanism) -> Model | None:
     predicts train runs better that are left out.
     """
     context = begun.context
-    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, begun.tests)])[:WIDTH])
-    models = [m for m in (single, begun.generic) if m is not None]
+    singles = fit_sets(context, grown(context, [Explanation(context.nominal, 0.0, begun.tests)])[:WIDTH])
+    models = [m for m in (*(e.model for e in singles), begun.generic) if m is not None]
     if not models:
         return None
     likeliest = max(models, key=lambda m: m.log_marginal)

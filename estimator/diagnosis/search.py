@@ -179,19 +179,6 @@ def relative_error(nominal: Sequence[PredictedRun], runs: Sequence[PredictedRun]
     return float(np.sqrt(np.mean(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf))))
 
 
-def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
-    """The set of `starts`, all from the nominal model, that is the likeliest with its shapes held, fitted to the end;
-    None without any."""
-    every = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
-    held = {key_of(start): m for (_, start), m in zip(starts, every) if m is not None}
-    context.held.update(held)
-    if not held:
-        return None
-    likeliest = max(held, key=lambda key: held[key].log_marginal)
-    context.whole[likeliest] = fit_free(held[likeliest])
-    return context.whole[likeliest]
-
-
 def key_of(start: Start) -> bytes:
     """Key of a start of a fit: its effects and their sizes."""
     return b" ".join(effect.key.encode() + size.tobytes() for effect, size in start)
@@ -243,7 +230,7 @@ def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | 
     key = key_of(start)
     if key in context.whole:
         return context.whole[key]
-    held = context.held.get(key) or fit_held(context, begin, start, HELD_STEPS)
+    held = fit_held(context, begin, start, HELD_STEPS)
     return None if held is None else fit_free(held)
 
 

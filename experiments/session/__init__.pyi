@@ -1,5 +1,6 @@
 from .choices import Choice as Choice
 from .choices import choose_terms as choose_terms
+from .choices import wanted_terms as wanted_terms
 from .choices import with_choices as with_choices
 from .flags import RunFlag as RunFlag
 from .flags import contradictions as contradictions

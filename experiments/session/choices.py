@@ -88,21 +88,29 @@ def _smoothing_velocity(setup: Setup) -> Choice:
                   "the friction smoothing velocity is a thousandth of that")
 
 
+def open_terms(setup: Setup, rig: Rig) -> dict[str, tuple[int, ...]]:
+    """Optional terms that `[terms]` leaves open, each with its joints (1-based)."""
+    driven, has = setup.settings.actuated, settings_of(setup.settings.model)
+    every = {"rotor_inertia": tuple(j for j in driven if j > 1), "torque_offset": driven}
+    return {key: joints for key, joints in every.items() if joints and key in has and getattr(rig.terms, key) is None}
+
+
+def wanted_terms(setup: Setup, rig: Rig, datasets: Sequence[Dataset]) -> Mapping[str, float]:
+    """Those `open_terms` that predict other runs of `datasets` better; see `needed_terms`. None where too little moves.
+    """
+    wide: MechanismSettings = structs.replace(setup.settings, **open_terms(setup, rig))
+    try:
+        return needed_terms(datasets, build_mechanism(wide), setup.options) if wide != setup.settings else {}
+    except (*FIT_ERRORS, ValueError):
+        return {}
+
+
 def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
-    settings, driven = setup.settings, setup.settings.actuated
-    rotors = tuple(j for j in driven if j > 1) if "rotor_inertia" in settings_of(settings.model) else ()
-    offsets = driven if "torque_offset" in settings_of(settings.model) else ()
-    rotors = rotors if rig.terms.rotor_inertia is None else ()
-    offsets = offsets if rig.terms.torque_offset is None else ()
-    if not rotors and not offsets:
-        return []
-    wide: MechanismSettings = structs.replace(settings, rotor_inertia=rig.terms.rotor_inertia or rotors,
-                                              torque_offset=rig.terms.torque_offset or offsets)
-    found = needed_terms(setup.datasets, build_mechanism(wide), setup.options)
+    terms, found = open_terms(setup, rig), wanted_terms(setup, rig, setup.datasets)
     out = []
-    for key, joints, why in (("rotor_inertia", rotors, "a rotor behind a gear"),
-                             ("torque_offset", offsets, "a constant in the measured torque")):
-        wanted = tuple(j for j in joints if f"{key}_{j}" in found)
+    for key, why in (("rotor_inertia", "a rotor behind a gear"),
+                     ("torque_offset", "a constant in the measured torque")):
+        wanted = tuple(j for j in terms.get(key, ()) if f"{key}_{j}" in found)
         if wanted:
             falls = " and ".join(f"{100 * found[f'{key}_{j}']:.0f} %" for j in wanted)
             out.append(Choice("terms", key, wanted, why, f"it predicts slow torque of other runs {falls} better"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from daq import Dataset, InputError, Rig
 from daq.runs import IMU
@@ -13,7 +14,7 @@ from estimator.diagnosis import MATERIAL, Diagnosis, diagnose, with_law
 from estimator.loops import corrected_readings, law_checks, volts_of
 from estimator.signals import angle_column
 from experiments.models import Model, known_effects, values_of
-from experiments.session import Prepared, Setup, require_one_rig, require_sound
+from experiments.session import Prepared, Setup, require_one_rig, require_sound, wanted_terms
 
 BENCHMARK = "q1_rad"
 GAIN = "torque_gain"
@@ -49,7 +50,8 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
     for check in checks:
         datasets = corrected_readings(datasets, setup.mechanism, check.joint, check.after.faults)
     found = diagnose(datasets, setup.mechanism, options, gear_ratio=rig.motor.gear_ratio, seed=seed,
-                     progress=progress, reference=reference, workers=workers, material=material)
+                     progress=progress, reference=reference, workers=workers, material=material,
+                     terms=partial(wanted_terms, setup, rig))
     found = with_law(found, checks, setup.mechanism, volts_of(datasets))
     if reference is not None and found.verdict == "fit_failed":
         found = replace(found, sentence=f"{found.sentence} The reference was not compared: that needs a fit of these "

@@ -8,7 +8,7 @@ import numpy as np
 from pytest import approx, mark
 
 from estimator import Diagnosis, FitOptions
-from estimator.diagnosis.account import compared, undecided, with_blind_sensors, with_minor
+from estimator.diagnosis.account import causes_of, compared, undecided, with_blind_sensors, with_minor
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
@@ -94,16 +94,15 @@ def told(*sizes: tuple[Any, float, float]) -> Explanation:
                        determined=known)
 
 
-def test_a_size_that_a_minor_cause_moves_out_of_its_interval_is_told() -> None:
+def test_sizes_are_told_as_they_are_together_with_a_minor_cause() -> None:
     """A spring of 0.35 N m/rad with a torque 6 ms late: 0.394 [0.387, 0.401] without the delay, 0.370 with it."""
     spring, delay = JointStiffness(1), TorqueDelay()
     alone = told((spring, 0.394, 0.0035))
-    for value, moved in ((0.370, True), (0.395, False)):
-        both = told((spring, value, 0.0025), (delay, 0.005, 1.5e-4))
-        found = with_minor(Diagnosis("named", "", warnings=("first",)), alone, both, 1e-9)
-        assert [c.effect for c in found.immaterial] == ["torque_delay"] and found.warnings[0] == "first"
-        assert [w for w in found.warnings if "stiffness of joint stiffness at joint 2 is 0.37 with torque delay" in w
-                ] == list(found.warnings[1:]) and len(found.warnings) == 1 + moved
+    both = replace(told((spring, 0.370, 0.0025), (delay, 0.005, 1.5e-4)), gain=4230.0)
+    found = with_minor(alone, both)
+    assert found.gain == alone.gain and found.beyond == alone.keys and found.within == {delay.key}
+    assert [(c.effect, c.size[0].value) for c in causes_of(found, 1e-9, Diagnosis("named", ""))] == [
+        ("joint_stiffness", 0.370), ("torque_delay", 0.005)]
 
 
 def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed() -> None:

@@ -1,17 +1,21 @@
 """What the train runs say of an answer before any test run is looked at."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
 
+from estimator.diagnosis import family
 from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.data_split import folds
 from estimator.diagnosis.explanation import Explanation
-from estimator.diagnosis.family import imitates, present_too
+from estimator.diagnosis.family import imitates, present_too, with_terms
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.search import with_one_more
+from estimator.effects import Effect
+from estimator.errors import FitError
 from tests.support.stated_fits import Named, explained, fitted, predicted_by_scores
 
 
@@ -67,6 +71,37 @@ def test_what_one_further_effect_explains_more_than_is_an_imitation() -> None:
 
 def test_nothing_is_sought_in_addition_to_what_leaves_nothing() -> None:
     assert with_one_more(context(), explained(9.0, "spring")) == []
+
+
+@pytest.mark.parametrize("less", [True, False])
+def test_a_term_that_slow_torque_asks_for_stays_where_left_out_runs_surely_err_less(
+        less: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gyro's bias and an offset of the torque: the fit's model has the offset, so the diagnosis' has it too."""
+    bias, offset = Named("bias"), Named("offset")
+    asked, best = context(), replace(explained(9000.0, bias), within=frozenset())
+    assert with_terms(asked, best) is best  # nothing asks
+    asked.terms = cast(Sequence[Effect], [bias, offset])
+    again = fitted(9400.0, bias, offset)
+    monkeypatch.setattr(family, "refit", lambda model, pairs: again if [e for e, _ in pairs] == [bias, offset] else 0)
+    monkeypatch.setattr(family, "surely_errs_less", lambda one, two, _: less and (one, two) == (again, best.model))
+    monkeypatch.setattr(family, "assess", lambda _, some: [replace(one, left=best.left) for one in some])
+    found = with_terms(asked, best)
+    if not less:
+        assert found is best
+        return
+    assert found.model is again and found.beyond == {"bias"} and found.within == {"offset"}
+    assert found.gain == pytest.approx(9000.0 + 400.0 / best.left.scatter)
+
+
+def test_a_term_that_cannot_be_fitted_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, best = context(), explained(9000.0, "bias")
+    asked.terms = cast(Sequence[Effect], [Named("offset")])
+
+    def fails(*_: object) -> None:
+        raise FitError("no")
+
+    monkeypatch.setattr(family, "refit", fails)
+    assert with_terms(asked, best) is best
 
 
 @pytest.mark.parametrize("count", range(2, 14))

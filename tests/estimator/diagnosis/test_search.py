@@ -51,19 +51,19 @@ def test_sets_that_are_the_likeliest_after_a_few_steps_are_kept() -> None:
     assert all(np.array_equal(size, m.sizes()[0]) for m, [(_, size)] in kept)  # a fit goes on from there
 
 
-def test_no_fit_from_the_nominal_model_is_made_twice() -> None:
-    """Shapes are free in the likeliest set alone."""
+def test_no_fit_from_the_nominal_model_is_made_twice(monkeypatch: MonkeyPatch) -> None:
     one = searched(drag=DRAG)
-    context = replace(one.context, held={}, whole={})
+    context = replace(one.context, whole={})
     starts: list[tuple[Model, Start]] = [
         (context.nominal, [(QuadraticDrag(0), np.zeros(1))]),
         (context.nominal, [(StribeckFriction(0), np.array([0.0, 0.2, 2.0]))])]
-    likeliest = search.fit_likeliest(context, starts)
-    assert likeliest is not None and keys_of(search.pairs_of(likeliest)) == ["quadratic_drag@1"]
-    assert set(context.held) == {search.key_of(s) for _, s in starts}
-    assert list(context.whole) == [search.key_of(starts[0][1])]
-    assert search.fit_whole(context, *starts[0]) is likeliest
-    assert search.fit_likeliest(context, []) is None
+    found = search.fit_sets(context, starts)
+    assert found[0].keys == {"quadratic_drag@1"}
+    assert set(context.whole) == {search.key_of(s) for _, s in starts}
+    monkeypatch.setattr(search, "fit_held", None)
+    again = search.fit_sets(context, starts[::-1])
+    assert [e.model.log_marginal for e in again] == [e.model.log_marginal for e in found]
+    assert search.fit_sets(context, []) == []
 
 
 def test_what_is_not_significant_in_a_set_is_left_out() -> None:
