@@ -5,6 +5,7 @@ from .dataset import IndexArray as IndexArray
 from .errors import InputError as InputError
 from .errors import WorkError as WorkError
 from .errors import did_you_mean as did_you_mean
+from .errors import input_errors as input_errors
 from .files import check_place as check_place
 from .files import kind_of as kind_of
 from .files import open_regular as open_regular

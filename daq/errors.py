@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 LONGEST = 600
 
@@ -21,6 +23,15 @@ class InputError(Exception):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         """Its parts: a worker process hands it back by pickle."""
         return type(self), (self.where, self.what, self.remedy)
+
+
+@contextmanager
+def input_errors(path: Path | str, remedy: str) -> Iterator[None]:
+    """Says of a file that the system cannot give what it says itself, and the remedy, as an `InputError`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), remedy) from None
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
-from daq.errors import InputError
+from daq.errors import InputError, input_errors
 
 RUN = "run"
 """What `kind_of` calls a measurement."""
@@ -147,17 +147,13 @@ def check_place(path: Path | str, kind: str) -> None:
 def kind_of(path: Path | str) -> str | None:
     """Kind of the file at `path`; None where it is absent or empty, "" where the kind is unknown."""
     path = Path(path)
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            return None
-        with path.open("rb") as file:
-            head = file.read(HEAD)
-            file.seek(max(os.fstat(file.fileno()).st_size - TAIL, 0))
-            return _kind(head, file.read(TAIL)) if head else None
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    with input_errors(path, "give a place that can be written"), suppress(FileNotFoundError):
+        if stat.S_ISREG(path.stat().st_mode):
+            with path.open("rb") as file:
+                head = file.read(HEAD)
+                file.seek(max(os.fstat(file.fileno()).st_size - TAIL, 0))
+                return _kind(head, file.read(TAIL)) if head else None
+    return None
 
 
 def kind_of_bytes(data: bytes) -> str:

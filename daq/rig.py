@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
 import msgspec
 from msgspec import Meta, Struct, structs
 
-from daq.errors import InputError, did_you_mean
+from daq.errors import InputError, did_you_mean, input_errors
 from daq.files import read_bytes
 from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
@@ -250,9 +250,8 @@ def read_rig_file(path: Path | str, sha256: str = "") -> RigFile:
     `sha256` any more."""
     where = str(path)
     try:
-        text = read_bytes(path, MOST_BYTES).decode("utf-8")
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give the rig's TOML file with --rig") from None
+        with input_errors(path, "give the rig's TOML file with --rig"):
+            text = read_bytes(path, MOST_BYTES).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(where, "is not UTF-8 text", "save the rig file as UTF-8") from None
     file = RigFile(Path(path), text.replace("\r\n", "\n"), parse_rig(text, where))

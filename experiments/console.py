@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq import InputError, write_file
+from daq import input_errors, write_file
 
 T = TypeVar("T")
 QUIET, USUAL, VERBOSE = -1, 0, 1
@@ -125,10 +125,8 @@ def write_json(path: Path | str, document: Any) -> None:
 
 def make_directory(path: Path) -> None:
     """Make `path` with its parents. Raises `InputError`."""
-    try:
+    with input_errors(path, "give a place that can be written"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
 
 
 def progress(items: Iterable[T], label: str, total: int | None = None, unit: str = "it") -> Iterator[T]:

@@ -21,7 +21,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
-from daq import InputError, open_regular, read_bytes
+from daq import InputError, input_errors, open_regular, read_bytes
 
 META = "legid-provenance"
 """Name of the element in a page's head that holds it as JSON."""
@@ -72,11 +72,8 @@ def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, seed: 
 
 def source_of(path: Path | str) -> Source:
     """One file with its hash. Raises `InputError`."""
-    try:
-        with open_regular(path) as file:
-            return Source(file=Path(path).name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a file that can be read") from None
+    with input_errors(path, "give a file that can be read"), open_regular(path) as file:
+        return Source(file=Path(path).name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
 
 
 def text_source(text: str, file: str, inside: str) -> Source:
@@ -115,9 +112,8 @@ def read_origin(path: Path | str) -> Origin:
     """Origin of a document, a model or a report page. Raises `InputError` for a file that carries none."""
     where = str(path)
     try:
-        text = read_bytes(path, MOST_BYTES).decode("utf-8")
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give a JSON, model or report of legid") from None
+        with input_errors(path, "give a JSON, model or report of legid"):
+            text = read_bytes(path, MOST_BYTES).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(where, "is no text", "give a JSON, model or report of legid") from None
     found = re.search(rf'<meta name="{META}" content="([^"]*)"', text)

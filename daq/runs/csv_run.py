@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.dataset import Dataset, FloatArray
-from daq.errors import InputError
+from daq.errors import InputError, input_errors
 from daq.files import read_bytes, write_file
 from daq.findings import Flag
 from daq.rig import Rig
@@ -106,10 +106,8 @@ def write_csv(dataset: Dataset, path: Path | str, replace: bool = False) -> int:
 def _split(path: Path) -> tuple[str, str]:
     """Header line and the rest, as text with plain newlines."""
     where = str(path)
-    try:
+    with input_errors(path, "give a readable CSV file"):
         data = read_bytes(path)
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give a readable CSV file") from None
     if not data:
         raise InputError(where, "is empty", "give a file with a header line and samples")
     if path.suffix == ".gz" or data.startswith(_GZIP_MAGIC):

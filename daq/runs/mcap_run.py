@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from daq.errors import InputError, WorkError
+from daq.errors import InputError, WorkError, input_errors
 from daq.files import new_run
 from daq.findings import Damage
 from daq.runs.damage import damage_of, holes
@@ -356,12 +356,11 @@ def new_writer(file: BinaryIO) -> Writer:
 
 
 def _create(path: Path) -> BinaryIO:
-    try:
-        return open(path, "xb")
-    except FileExistsError:
-        raise InputError(str(path), "exists already", "give a new name: a run is never overwritten") from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    with input_errors(path, "give a place that can be written"):
+        try:
+            return open(path, "xb")
+        except FileExistsError:
+            raise InputError(str(path), "exists already", "give a new name: a run is never overwritten") from None
 
 
 def _version() -> str:

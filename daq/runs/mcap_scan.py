@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from daq.errors import InputError
+from daq.errors import InputError, input_errors
 from daq.files import open_regular
 
 WINDOW_BYTES = 1 << 27
@@ -76,17 +76,14 @@ class Scan:
         self._room = 0
 
     def __iter__(self) -> Iterator[McapRecord]:
-        try:
-            with open_regular(self.path) as file:
-                size = os.fstat(file.fileno()).st_size
-                self._room = UNPACKED_BYTES + UNPACKED_RATIO * size
-                if size == 0:
-                    raise InputError(str(self.path), "is empty", "nothing was recorded; record again")
-                if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                    raise InputError(str(self.path), "is not an MCAP file", "give a file written by legid record")
-                yield from self._records(file, size)
-        except OSError as error:
-            raise InputError(str(self.path), error.strerror or str(error), "give a readable run file") from None
+        with input_errors(self.path, "give a readable run file"), open_regular(self.path) as file:
+            size = os.fstat(file.fileno()).st_size
+            self._room = UNPACKED_BYTES + UNPACKED_RATIO * size
+            if size == 0:
+                raise InputError(str(self.path), "is empty", "nothing was recorded; record again")
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise InputError(str(self.path), "is not an MCAP file", "give a file written by legid record")
+            yield from self._records(file, size)
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[McapRecord]:
         while len(head := file.read(_RECORD.size)) == _RECORD.size:

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import structs
 
-from daq import Column, Dataset, Flag, FloatArray, IndexArray, InputError, comment, quoted, read_bytes
+from daq import Column, Dataset, Flag, FloatArray, IndexArray, InputError, comment, input_errors, quoted, read_bytes
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column, restart_remedy, unwrapped_counter
 from daq.timing import TimedColumns, align_channels, own_rate
 from experiments.exchange.imported import ImportedFile, Table, Wrong
@@ -47,10 +47,9 @@ def load_map(path: Path | str) -> dict[str, Column]:
     """The map in a COLUMNS.toml, or in the `[columns]` of a rig file. Raises `InputError` naming file and key."""
     where = str(path)
     try:
-        document = tomllib.loads(read_bytes(path, MOST_BYTES).decode("utf-8"))
+        with input_errors(path, "give the map, or let --guess write it"):
+            document = tomllib.loads(read_bytes(path, MOST_BYTES).decode("utf-8"))
         return check_map(msgspec.convert(document.get("columns", {}), dict[str, Column]), where)
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give the map, or let --guess write it") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(where, f"not valid TOML: {error}", "correct that line") from None
     except msgspec.ValidationError as error:

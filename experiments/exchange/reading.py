@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import Column, Dataset, InputError, Rig, load_rig, open_regular
+from daq import Column, Dataset, InputError, Rig, input_errors, load_rig, open_regular
 from daq.runs import SUFFIXES, missing, read_csv
 from daq.timing import align_table
 from experiments.exchange.archives import read_hdf5, read_json, read_numpy
@@ -57,13 +57,11 @@ def read_imported(path: Path | str) -> ImportedFile:
     """The samples of a file of any program, by its name's ending. Raises `InputError`, beyond the bounds of memory and
     time that a file has, too."""
     path, name = Path(path), str(path).lower()
-    try:
+    with input_errors(path, "give a file that is there"):
         if path.is_dir():
             inside = [inner for inner in path.rglob("*") if not inner.is_dir()]
             return read_bounded(_BAG, path, sum(map(_size, inside)))
         size = _size(path)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a file that is there") from None
     if _is_pointer(path, size):
         raise InputError(str(path), "is a pointer of Git LFS, not the file", "fetch it with git lfs pull")
     reader = next((reader for endings, reader in _READERS if name.endswith(endings)), None)

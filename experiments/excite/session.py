@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq import FloatArray, InputError, WorkError, read_bytes
+from daq import FloatArray, InputError, WorkError, input_errors, read_bytes
 from daq.recording import write_plan
 from estimator import CAUSED
 from estimator.effects import Effect, PlanKind
@@ -82,9 +82,8 @@ def next_choice(path: Path | str) -> Choice:
     """The kinds that the causes of a diagnosis call for. Raises `InputError` where the file is no diagnosis."""
     where = str(path)
     try:
-        found = msgspec.json.decode(read_bytes(path))
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give the JSON of legid diagnose") from None
+        with input_errors(path, "give the JSON of legid diagnose"):
+            found = msgspec.json.decode(read_bytes(path))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise InputError(where, "is not JSON", "give the JSON of legid diagnose") from None
     if not isinstance(found, dict) or found.get("schema") != "legid.diagnosis/1":

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from daq import InputError, read_bytes
+from daq import InputError, input_errors, read_bytes
 from estimator.model import HOLDS
 from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
@@ -35,10 +35,8 @@ def save_model(model: Model, path: Path | str) -> None:
 def load_model(path: Path | str) -> Model:
     """Read and check MODEL.json. Raises `InputError` naming the file and the place in it."""
     where = str(path)
-    try:
+    with input_errors(path, "give a model written by legid fit"):
         data = read_bytes(path, MOST_BYTES)
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "give a model written by legid fit") from None
     try:
         model = _decoded(data)
     except msgspec.ValidationError as error:

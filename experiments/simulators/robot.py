@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq import FloatArray, InputError, read_bytes
+from daq import FloatArray, InputError, input_errors, read_bytes
 from experiments.bounded_child import Bounds, answer_of_child, ended_early
 from experiments.simulators.mujoco_runs import require_mujoco
 
@@ -88,10 +88,8 @@ def _read(path: Path) -> list[Link]:
 
 
 def _parsed(path: Path) -> ET.Element:
-    try:
+    with input_errors(path, "give a URDF or MJCF file"):
         data = read_bytes(path, MOST_BYTES)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a URDF or MJCF file") from None
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise InputError(str(path), "declares entities", "give a plain URDF or MJCF file")
     try:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from msgspec import structs
 
-from daq import InputError, Rig, set_values, write_file
+from daq import Rig, input_errors, set_values, write_file
 from estimator.prediction import SHORT_S
 from experiments.documents import Entry, Tried, TuningDocument
 from experiments.session import Choice, SetAside, load_runs, with_choices
@@ -138,8 +138,6 @@ def write_choices(choices: Sequence[Entry], path: Path | str) -> None:
     tables: dict[str, dict[str, object]] = {}
     for choice in choices:
         tables.setdefault(choice.table, {})[choice.key] = choice.value
-    try:
+    with input_errors(path, "give a rig file that can be written"):
         text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a rig file that can be written") from None
     write_file(path, set_values(text, tables, str(path)).encode(), changed=True)
