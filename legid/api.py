@@ -38,6 +38,7 @@ from estimator import Method
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
+from experiments import workflows  # each verb loads its own
 from experiments.console import work_bar
 from experiments.documents import Pair
 from experiments.excite import random_multisine
@@ -47,21 +48,6 @@ from experiments.models import save_model as save_model
 from experiments.provenance import source_of
 from experiments.rig import ChosenRig
 from experiments.session import load_runs, prepare, with_terms_of
-from experiments.workflows import (
-    SessionPair,
-    as_reference,
-    choose_executor,
-    compare_models,
-    diagnose_prepared,
-    find_change,
-    find_change_since,
-    find_differences,
-    fit_runs,
-    reference_values,
-    tune_runs,
-    validate_in_mujoco,
-    validate_prepared,
-)
 from legid.changes import Change, Sessions
 from legid.comparisons import Comparison
 from legid.diagnoses import Diagnosis
@@ -142,7 +128,8 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     the data cannot answer.
     """
     given, known = runs_and_rig(runs, rig)
-    found = fit_runs(given, known.rig, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
+    found = workflows.fit_runs(given, known.rig, sensors=sensors, fixed=fixed, latent=latent, method=method,
+                               choose=choose)
     return FitResult.made_from(found, given, origin_from(sources_of(given), known.source))
 
 
@@ -168,9 +155,9 @@ def validate(model: ModelLike, runs: Runs, rig: RigLike | None = None, sensors: 
                          "give a model of the same mechanism")
     prepared = prepare(given, known.rig, sensors=sensors, model=one)
     files = sources_of(given)
-    found = validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s))
+    found = workflows.validate_prepared(one, prepared, where, files, other and other.model, _lengths(horizons_s))
     if simulator == "mujoco":
-        found = validate_in_mujoco(one, found, where)
+        found = workflows.validate_in_mujoco(one, found, where)
     return Validations.made_from(found, one, where, origin_from(files, known.source, source))
 
 
@@ -206,8 +193,8 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
         return _change_since(given, against, known)
     before = None if reference is None else as_model(reference, "reference")
     prepared = prepare(given, with_terms_of(known.rig, before and before.model), fixed=fixed, workers=workers)
-    values = None if before is None else reference_values(before.model, before.where, prepared.setup)
-    found = diagnose_prepared(prepared, seed, values, progress, workers, material)
+    values = before and workflows.reference_values(before.model, before.where, prepared.setup)
+    found = workflows.diagnose_prepared(prepared, seed, values, progress, workers, material)
     return Diagnosis.made_from(found, prepared, given, known.rig, origin_from(
         sources_of(given), known.source, before and before.source, seed=seed))
 
@@ -215,8 +202,8 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
 def _change_since(given: tuple[PlainDataset, ...], against: Runs | ModelLike, known: ChosenRig) -> Change:
     """Change of `given` since the runs `against`, or those that a model was made from."""
     earlier, files = earlier_of(against)
-    found = find_change_since(given, earlier.model, earlier.where, known.rig) if isinstance(earlier, GivenModel) else \
-        find_change(given, earlier, known.rig)
+    found = (workflows.find_change_since(given, earlier.model, earlier.where, known.rig)
+             if isinstance(earlier, GivenModel) else workflows.find_change(given, earlier, known.rig))
     made = Change.of(found.change, found.set_aside, files, found.datasets)
     made.provenance = origin_from(sources_of(given), known.source,
                                   earlier.source if isinstance(earlier, GivenModel) else None)
@@ -247,7 +234,7 @@ def compare(a: ModelLike | Runs, b: ModelLike | Runs, runs: Runs = (), rig: RigL
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     (first, _, of_a), (second, _, of_b) = as_model(a, names[0]), as_model(b, names[1])
     given, known = runs_and_rig(runs, rig)
-    found = compare_models((first, second), names, given, known.rig, sensors, _lengths(horizons_s))
+    found = workflows.compare_models((first, second), names, given, known.rig, sensors, _lengths(horizons_s))
     return Comparison.made_from(found, given, first.mechanism.model, origin_from(
         sources_of(given), known.source, models=[one for one in (of_a, of_b) if one is not None]))
 
@@ -261,9 +248,10 @@ def compare_sessions(sessions: Sequence[Runs], names: Sequence[str], rig: RigLik
     """
     given, known = [as_runs(own) for own in sessions], runs_and_rig(sessions[0], rig)[1]
     count = len(given) - 1
-    jobs = [SessionPair(given[0], own, (names[0], name), known.rig, count) for name, own in zip(names[1:], given[1:])]
+    jobs = [workflows.SessionPair(given[0], own, (names[0], name), known.rig, count)
+            for name, own in zip(names[1:], given[1:])]
     with work_bar("comparing", count, "session") as done:
-        found = find_differences(jobs, choose_executor(1 if count == 1 else workers, cluster), done)
+        found = workflows.find_differences(jobs, workflows.choose_executor(1 if count == 1 else workers, cluster), done)
     every = [run for own in given for run in own]
     made = Sessions.of([Pair.of(one.change, job.names) for job, one in zip(jobs, found)],
                        [run for one in found for run in one.set_aside], every)
@@ -282,7 +270,7 @@ def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, se
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = stored_rig(paths) if rig is None else as_rig(rig)
     origin = origin_from([source_of(path) for path in paths], known.source)
-    found = tune_runs(paths, known.rig, sensors, damaged, progress or (lambda what, share: None), fixed)
+    found = workflows.tune_runs(paths, known.rig, sensors, damaged, progress or (lambda what, share: None), fixed)
     made = found.as_document(Tuning)
     made.provenance = origin
     return made
@@ -301,7 +289,7 @@ def model(found: FitResult | Diagnosis | PlainFit | PlainDiagnosis, runs: Runs |
     if isinstance(found, Diagnosis):
         made = model_of_diagnosis(found.details, found.prepared.setup, found.rig, found.fitted,
                                   found.provenance or None)
-        return as_reference(made, found.prepared)
+        return workflows.as_reference(made, found.prepared)
     given, known = runs_and_rig(() if runs is None else runs, rig)
     setup = prepare(given, known.rig).setup
     return model_of_fit(found, setup, given) if isinstance(found, PlainFit) else \

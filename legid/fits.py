@@ -16,12 +16,13 @@ from experiments.documents import FitDocument, finite
 from experiments.judge import Files, check_sound
 from experiments.provenance import Origin
 from experiments.reports import fit_summary, parameter_table, whole_fit_text, write_fit
-from experiments.workflows import Fitted
 from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from experiments.workflows import Fitted
 
 
 class Made(NamedTuple):

@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from estimator.prediction import Validation as PlainValidation
 from estimator.prediction import segments_as
+from experiments import workflows
 from experiments.documents import ValidationDocument, finite
 from experiments.judge import Files
 from experiments.models import Model
 from experiments.provenance import Origin
 from experiments.reports import segment_table, whole_validation_text, write_validation
-from experiments.workflows import ValidationReport, compared_text
 from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from experiments.workflows import ValidationReport
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +93,7 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
 
     def text(self, files: Files | None = None) -> str:
         """Everything that `legid validate` prints. The next step names `files`."""
-        compared = compared_text(self._measured().report)
+        compared = workflows.compared_text(self._measured().report)
         return (f"{compared}\n\n" if compared else "") + whole_validation_text(self, files)
 
     def page(self, path: Path | str, files: Files | None = None) -> None:
