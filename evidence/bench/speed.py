@@ -198,7 +198,7 @@ What is compared:
   numerically, as (51) says (`evidence/bench/paper.py`)."""
 
 
-def page(samples: Sequence[int] = SAMPLES, limit: float = 600.0, peers: Sequence[str] = PEERS) -> Lines:
+def page(samples: Sequence[int] = SAMPLES, limit: float = 100.0, peers: Sequence[str] = PEERS) -> Lines:
     before = os.getloadavg()[0]
     found = measure(samples, peers, limit)
     packages = ", ".join(f"{name} {version(name)}" for name in ("numba", "casadi", "mujoco"))
