@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.protocol import ESTOP_OPEN, Fault
 
-CLEAR = "legid doctor --clear-faults --rig RIG"
+CLEAR_FAULTS = "legid doctor --clear-faults --rig RIG"
 """The command that acknowledges faults and has them cleared; a cause that is still there keeps them."""
 
 _LOOK = {
@@ -31,4 +31,4 @@ def fault_remedy(faults: int) -> str:
         looks.append(_LOOK[Fault.ESTOP])
     if faults & ~(ESTOP_OPEN | sum(_LOOK)):
         looks.append("find the bit in the firmware's manual")
-    return "; ".join([*looks, f"then {CLEAR}"])
+    return "; ".join([*looks, f"then {CLEAR_FAULTS}"])

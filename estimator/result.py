@@ -153,9 +153,9 @@ class OmittedEffect:
     p_value: float
     """Of such runs without the effect, over all effects tested."""
     parameter: str
-    """The one that it moves furthest, ..."""
+    """The one that it moves furthest"""
     half_widths: float
-    """... and how far, in halves of the interval."""
+    """How far it moves that one, in halves of the interval"""
 
 
 @dataclass(frozen=True)

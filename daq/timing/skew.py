@@ -14,7 +14,7 @@ from daq.dataset import Dataset, FloatArray
 
 FARTHEST_S = 0.1
 LEAST_SAMPLES = 200
-CLEAR = 3.0
+LEAST_SIGNAL = 3.0
 """Signal to noise of the correlation's peak below which nothing is said."""
 
 
@@ -79,6 +79,6 @@ def _refine(gyro: FloatArray, angle: FloatArray, step: float, shift: float) -> t
     sigma2 = float(residual @ residual) / max(total.size - table.shape[1], 1)
     std = float(np.sqrt(sigma2 * (inverse @ inverse.T)[4, 4]))
     signal = float(np.std(rate)) * step
-    if not np.isfinite(std) or signal == 0.0 or float(np.std(angle[inner])) < CLEAR * np.sqrt(sigma2):
+    if not np.isfinite(std) or signal == 0.0 or float(np.std(angle[inner])) < LEAST_SIGNAL * np.sqrt(sigma2):
         return None
     return shift + float(solution[4]), std

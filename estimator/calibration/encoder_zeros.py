@@ -28,17 +28,17 @@ CONVERGED_RAD = 1e-4
 PROBE_RAD = 1e-4
 """Angle over which (Z beta) is differenced."""
 ALPHA = 1e-3
-"""p-value of a joint, times the joints asked, below which its zeros differ, ..."""
+"""p-value of a joint, times the joints asked, below which its zeros differ."""
 LEAST_FALL = 0.1
-"""... if the zeros reduce the torque residual of a joint by this share. (Measured: p from 3e-7 to 1e-5 and 41 to 50 %
+"""Least share of a joint's torque residual that they then take away. (Measured: p from 3e-7 to 1e-5 and 41 to 50 %
 on two real arms; p < 1e-3 on 2 of 104 legs with other faults, with 2 % at most.)"""
 FEWEST_RUNS = 4
 """Of two or three, the halves agree by chance too often."""
-SHOWN_RAD, SURE = 0.01, 5.0
+SHOWN_RAD, SURE_STD = 0.01, 5.0
 """Gravity shows a zero whose standard deviation is below the first. What runs have in common is taken off where it
-exceeds so many standard deviations, ..."""
+exceeds so many standard deviations."""
 PARTS, AGREE = 4, 2.0
-"""... and so many times its largest departure in one of so many parts of the runs."""
+"""Parts of the runs, and how many times its largest departure in one of them it then exceeds, too."""
 WRONG_RAD = 0.015
 """A zero is taken off though nobody asked if it is beyond five times what one that is set by hand may be off."""
 
@@ -110,7 +110,7 @@ def find_hanging(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
         return None
     mean = whole.values.mean(axis=0)
     apart = np.abs(parts.values.reshape(len(datasets), PARTS, -1).mean(axis=0) - mean).max(axis=0)
-    sure = np.abs(mean) > np.maximum(SURE * whole.std.max(axis=0), AGREE * apart)
+    sure = np.abs(mean) > np.maximum(SURE_STD * whole.std.max(axis=0), AGREE * apart)
     own, common = (replace(whole, values=np.broadcast_to(x, whole.values.shape))
                    for x in (whole.values - mean, np.where(sure, mean, 0.0)))
     # a constant torque, estimated with it, may have its effect: then the zero alone makes a fit worse

@@ -39,7 +39,7 @@ LEAST_SWING_RAD = 0.3
 """From end to end."""
 FEWEST = 4
 """Windows."""
-CLEAR = 25.0
+TOLD_APART = 25.0
 """Difference of the two hands' deviance below which the data does not tell them apart."""
 PRIOR = np.array([0.5, 0.5, 1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 3.0, 1.0])
 """Spread of theta: two tilts of the axis [rad], gyro bias [rad/s], accelerometer bias [m/s2], l and e [m]."""
@@ -105,7 +105,7 @@ def fit_mount(swings: Sequence[Readings], rests: Sequence[tuple[FloatArray, Floa
     least = min(part.time_s.shape[1] for part in parts)
     windows = _Windows(*(np.concatenate([x[:, :least] if x.ndim > 1 else x for x in arrays]) for arrays in zip(*parts)))
     right, left = (_fit(windows, down, axis, hand, gravity_mps2) for hand in (1.0, -1.0))
-    if abs(right.deviance - left.deviance) < CLEAR:
+    if abs(right.deviance - left.deviance) < TOLD_APART:
         raise FitError("the swings do not tell on which side the chip's axes lie: swing wider and for longer")
     noise = [float(np.mean([white_noise_level(x) for one in swings for x in (one.gyro_radps, one.accel_mps2)[k].T]))
              for k in (0, 1)]

@@ -38,9 +38,9 @@ class FittedFamily:
     rows: Family
     models: tuple[Model, ...]
     unit: int
-    """The row whose noise floor is the unit of all errors, ..."""
+    """The row whose noise floor is the unit of all errors"""
     noise: FloorNoise
-    """... and the noise of that floor: of the largest model"""
+    """The noise of that floor: of the largest model"""
     smoothers: tuple[int, ...]
     """Rows that may supply an angle that no sensor reads"""
 

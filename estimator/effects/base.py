@@ -55,9 +55,9 @@ class Shape(NamedTuple):
     unit: str
     grid: tuple[float, ...]
     above: float = 4.0
-    """A fit may exceed the grid's largest value by this factor, ..."""
+    """Factor by which a fit may exceed the grid's largest value"""
     below: float = 4.0
-    """... and fall below its smallest one by this."""
+    """Factor by which a fit may fall below its smallest one"""
     discrete: bool = False
     """Held at values of the grid, the likeliest one; not re-fitted."""
     default: float | None = None
@@ -97,9 +97,9 @@ class Record:
     slow: Mapping[Channel, FloatArray]
     """The gyro low-passed above any motion of a leg's links, torques to what a spline follows."""
     rate: Mapping[int, FloatArray]
-    """Of each joint with an encoder, what it read differenced once, ..."""
+    """Of each joint with an encoder, what it read differenced once"""
     acceleration: Mapping[int, FloatArray]
-    """... and twice."""
+    """The same differenced twice"""
 
 
 @dataclass(frozen=True)

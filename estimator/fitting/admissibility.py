@@ -22,7 +22,7 @@ from estimator.result import TWO_SIDED, Finding, FitResult
 
 NOT_NEGATIVE = ("viscous", "coulomb", "rotor")
 """Terms whose parameters are levels."""
-SURE = 3.0
+SURE_STD = 3.0
 """Standard deviations by which a value must be on the wrong side to be more than scatter."""
 LENGTHS_M = (0.005, 10.0)
 """Lengths that a link and its equivalent pendulum may have."""
@@ -33,7 +33,7 @@ ANGLES = 500
 def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> tuple[str, ...]:
     """Faults of `beta` (p,) over the angles q (N, n), one sentence each.
 
-    A value is wrong if it is so by more than `SURE` standard deviations `std` (p,), infinite where undetermined.
+    A value is wrong if it is so by more than `SURE_STD` standard deviations `std` (p,), infinite where undetermined.
     """
     found = []
     step = max(1, len(q) // ANGLES)
@@ -45,15 +45,15 @@ def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArra
         at = ", ".join(f"q{j + 1} = {x:.2f} {mechanism.length_unit}" for j, x in enumerate(where))
         found.append(f"the mass matrix is not positive definite (at {at}): no masses move like this")
     gravity = [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]
-    lifted = [k for k in gravity if beta[k] < -SURE * std[k]]
-    heavy = any(beta[k] > SURE * std[k] for k in masses)  # one frequency alone cannot tell gravity from inertia
-    if lifted and heavy and not any(beta[k] > SURE * std[k] for k in gravity):
+    lifted = [k for k in gravity if beta[k] < -SURE_STD * std[k]]
+    heavy = any(beta[k] > SURE_STD * std[k] for k in masses)  # one frequency alone cannot tell gravity from inertia
+    if lifted and heavy and not any(beta[k] > SURE_STD * std[k] for k in gravity):
         found.append(f"gravity acts upwards ({_values(mechanism, beta, std, lifted)})")
     return (*found, *(text for text, motor in strange_lengths(mechanism, beta, std) if not motor))
 
 
 def _sure_least(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> FloatArray:
-    """(N,) upper limit of the mass matrix's smallest eigenvalue at the angles q (N, n): v' M v plus `SURE` standard
+    """(N,) upper limit of the mass matrix's smallest eigenvalue at the angles q (N, n): v' M v plus `SURE_STD` standard
     deviations, for the worst correlation of the parameters."""
     values, vectors = np.linalg.eigh(mechanism.inertia_matrix(q, beta))
     v = vectors[:, :, 0]
@@ -61,7 +61,7 @@ def _sure_least(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: Floa
     for k in np.flatnonzero(std > 0.0):
         if mechanism.parameters[k].term in ("inertia", "rotor"):
             one = mechanism.inertia_matrix(q, np.eye(mechanism.p)[k])
-            slack += SURE * std[k] * np.abs(np.einsum("ni,nij,nj->n", v, one, v))
+            slack += SURE_STD * std[k] * np.abs(np.einsum("ni,nij,nj->n", v, one, v))
     return values[:, 0] + slack
 
 
@@ -78,7 +78,8 @@ def strange_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> 
     found = []
     for k, p in enumerate(mechanism.parameters):
         over = moment.get(max(p.at))
-        if p.term != "inertia" or over is None or not (beta[over] > SURE * std[over] and beta[k] > SURE * std[k]):
+        if p.term != "inertia" or over is None or not all(
+                beta[i] > SURE_STD * std[i] for i in (over, k)):
             continue
         length = float(beta[k] / beta[over])
         if not LENGTHS_M[0] <= length <= LENGTHS_M[1]:
@@ -105,7 +106,7 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
         if result.undetermined:  # a level in its place would pass for knowledge of the rest
             findings.append(Finding("warning", "level_at_zero", low))
             break
-        sure = value < -SURE * std
+        sure = value < -SURE_STD * std
         scatter = ". That is not scatter: the model or the set-up is wrong" if sure else ""
         findings.append(Finding("warning", "level_negative" if sure else "level_at_zero",
                                 f"{low}: fixed at 0, the others fitted again{scatter}"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq import FloatArray
-from estimator.fitting.newton_step import Step
+from estimator.fitting.newton_step import NewtonStep
 
 SHORTER, LONGER = 0.5, 1.2
 """Factors on the share of a step after one that was too long, and after one that was not: back to whole steps in four,
@@ -34,7 +34,7 @@ class SwingDamping:
     before: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(f,) the step before"""
 
-    def next(self, iteration: int, objective: float, step: Step, anew: bool) -> float:
+    def next(self, iteration: int, objective: float, step: NewtonStep, anew: bool) -> float:
         """The share to take of a step; `anew`: objectives of before cannot be compared."""
         if iteration >= FREE_STEPS:
             along = float(step.beta @ step.information @ self.before)
@@ -55,7 +55,7 @@ class FallDamping:
     share: float = 1.0
     before: float = np.inf
 
-    def next(self, iteration: int, objective: float, step: Step, anew: bool) -> float:
+    def next(self, iteration: int, objective: float, step: NewtonStep, anew: bool) -> float:
         """The share to take of a step; `anew`: objectives of before cannot be compared."""
         rose, self.before = not anew and objective > self.before, objective
         if iteration >= FREE_STEPS:

@@ -24,7 +24,7 @@ from estimator.signals import IMU_COLUMNS, SignalSet, imu_columns, quantum, spli
 
 DRAWS = 2
 """Times that noise is added; its part of Z is the mean over them."""
-CLEAR = 10.0
+AMPLE = 10.0
 """Where every direction has so many times the power that it needs, noise added once is enough."""
 LEAST_POWER, LEAST_POWER_MLE = 3.0, 1.5
 """Power of Z along a direction, in units of noise's own, below which the direction is not excited. At 3 a third of it
@@ -75,7 +75,7 @@ def unexcited_directions(signals: Sequence[SignalSet], mechanism: Mechanism, opt
         noisier = design_rows([_noisier(*pair, rng) for pair in zip(signals, levels)], mechanism, options).z
         more = noisier[:, :, index].reshape(-1, index.size) - z
         once = more.T @ more
-        if draw == 0 and _ratios(power, noise + once)[0][0] > CLEAR * least_power:
+        if draw == 0 and _ratios(power, noise + once)[0][0] > AMPLE * least_power:
             return np.zeros((free.size, 0))
         noise += once / DRAWS
     ratios, vectors = _ratios(power, noise)

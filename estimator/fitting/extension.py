@@ -17,7 +17,7 @@ from estimator.options import FitOptions
 from estimator.result import LoopTerm
 from estimator.signals import SignalSet
 
-Extra = tuple[tuple[Effect, FloatArray], ...]
+Terms = tuple[tuple[Effect, FloatArray], ...]
 """Terms that are estimated with a fit, and are none of its parameters."""
 
 
@@ -30,7 +30,7 @@ class Fitted(NamedTuple):
     signals: list[SignalSet]
     free: BoolArray
     options: FitOptions
-    extra: Extra = ()
+    extra: Terms = ()
     loop: tuple[LoopTerm, ...] = ()
     said: tuple[str, ...] = ()
     """Sentences about what was added, or was not"""
@@ -56,7 +56,7 @@ def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequ
     return found.with_disturbance() if problem.disturbed else found
 
 
-def extend(fitted: Fitted, extra: Extra, sought: BoolArray, noise: Noise) -> tuple[LatentProblem, State]:
+def extend(fitted: Fitted, extra: Terms, sought: BoolArray, noise: Noise) -> tuple[LatentProblem, State]:
     """Problem and fit with terms, from their sizes, of which those `sought` (m,) are free, and from this `noise`.
 
     Raises `FitError`.

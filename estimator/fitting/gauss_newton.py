@@ -14,7 +14,7 @@ import numpy as np
 from daq import BoolArray, IndexArray
 from estimator.errors import FitError
 from estimator.fitting.damping import SwingDamping, shortened
-from estimator.fitting.newton_step import DIVERGED, Step, Taken, newton_step
+from estimator.fitting.newton_step import DIVERGED, NewtonStep, Taken, newton_step
 from estimator.fitting.noise_update import NoiseUpdate
 from estimator.fitting.prior import Known, Prior, prior_at
 from estimator.fitting.stopping import SmallSteps
@@ -32,7 +32,7 @@ LEAST_VARIANCE = 1e-300
 class Damping(Protocol):
     """Share of a step that is taken."""
 
-    def next(self, iteration: int, objective: float, step: Step, anew: bool) -> float:
+    def next(self, iteration: int, objective: float, step: NewtonStep, anew: bool) -> float:
         """Share (0, 1]; 0 ends the search."""
 
 
@@ -60,7 +60,7 @@ class Stop(Protocol):
     def before(self, iteration: int, x: Latents, objective: float, anew: bool) -> bool:
         """Whether it ends before a step from x."""
 
-    def at(self, step: Step, anew: bool) -> bool:
+    def at(self, step: NewtonStep, anew: bool) -> bool:
         """Whether it ends because of what a step promises."""
 
     def after(self, iteration: int, moved: float, objective: float, change: float | None) -> bool:
@@ -138,7 +138,7 @@ def _eliminated(point: Linearised, index: IndexArray) -> Swept:
                        "the equations of the motion became singular") from None
 
 
-def _move(problem: LatentProblem, state: State, step: Step, index: IndexArray, share: float) -> float:
+def _move(problem: LatentProblem, state: State, step: NewtonStep, index: IndexArray, share: float) -> float:
     """Take a `share` of a step; returns its length in standard deviations."""
     angles = step.latents[:, : problem.n]
     damping = shortened(angles, share)

@@ -47,14 +47,14 @@ of 1 kHz, logged at 200 Hz: `linear` is 9 to 13 ahead of the true hold.)"""
 PRIOR = 5.0
 """Log-likelihood below which two holds are hardly told apart."""
 DELAY_S = 0.01
-"""Standard deviation of a delay that nobody states [s], and ..."""
+"""Standard deviation of a delay that nobody states [s]."""
 KNOWN, KNOWN_S = 0.05, 2e-4
-"""... of how late a hold without a delay, or an IMU without an age, may be [samples] and [s]: no model of a leg tells
-less."""
+"""Standard deviation of how late a hold without a delay, or an IMU without an age, may be [samples] and [s]: no model
+of a leg tells less."""
 EXCERPT = 2000
-"""Samples that are looked at, or ..."""
+"""Samples of a record that are looked at at least: of each segment its first part."""
 SHARE = 4
-"""... one in so many of a longer record: of each segment its first part."""
+"""Of a longer record one sample in so many is looked at."""
 LOST = 100.0
 """A hold so far behind the best after the first step, in log-likelihood, is taken no further."""
 REACH = 0.5
@@ -216,11 +216,11 @@ class _Evidence(NamedTuple):
     delay_s: float = 0.0
     """0 where none is likelier."""
     optimum: float = -np.inf
-    """Log-likelihood with the likeliest delay, ..."""
+    """Log-likelihood with the likeliest delay"""
     std_s: float = 0.0
-    """... that delay's standard deviation, ..."""
+    """Standard deviation of that delay"""
     without: float = -np.inf
-    """... and the log-likelihood without a delay."""
+    """Log-likelihood without a delay"""
 
 
 @dataclass

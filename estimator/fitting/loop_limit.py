@@ -26,7 +26,7 @@ STEPS = {"limit": 0.05, "damping": 0.005, "delay_s": 0.003, "integral": 0.05}
 NONE = {"limit": np.inf, "damping": 0.0, "delay_s": 0.0, "integral": 0.0}
 FURTHEST = 3.0
 """Largest values over the largest of a grid"""
-CLEAR = 0.98
+MOST_LEFT = 0.98
 """Residual with a limit over that without, as shares of the torque, up to which a limit is worth a fit.
 
 The fit says whether runs meet it (`find_loop_terms`). Differences of angles leave a residual that no limit explains:
@@ -78,7 +78,7 @@ def limit_met(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
 
     (bare, _), (least, size) = best(others), best(keys)
     bare = min(bare, error(size[1:], keys[1:]))
-    return tried.stated({**NONE, **dict(zip(keys, map(float, size)))}) if least < CLEAR * bare else None
+    return tried.stated({**NONE, **dict(zip(keys, map(float, size)))}) if least < MOST_LEFT * bare else None
 
 
 @dataclass(frozen=True)

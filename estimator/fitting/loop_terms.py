@@ -25,7 +25,7 @@ FACTOR = 2.0
 """By which a limit may differ from where it is sought"""
 UNLIMITED = 1e6
 """Limit from which on a loop has none"""
-LEAST_GAIN, SURE = 0.01, 3.3
+LEAST_GAIN, SURE_STD = 0.01, 3.3
 """Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
 
 
@@ -81,19 +81,19 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
             continue
         tried = with_loop_terms(fitted, [*keys, key])
         own = [one for one in tried.loop if one.key == key]
-        shown = any(one.value > SURE * one.std for one in own) and _is_shown(tried, now)
+        shown = any(one.value > SURE_STD * one.std for one in own) and _is_shown(tried, now)
         told += [] if shown else [replace(one, found=False) for one in own]
         if shown:
             now, keys = tried, [*keys, key]
     sized = [replace(one, found=one.key == "delay_s" or ((one.key != "limit" or limited)
-                                                         and one.value > SURE * one.std)) for one in now.loop]
+                                                         and one.value > SURE_STD * one.std)) for one in now.loop]
     return (*sized, *told)
 
 
 def _is_shown(larger: Fitted, smaller: Fitted) -> bool:
     """Whether -2 log p falls by more than chance, and by a material share."""
     fall = 2.0 * (marginal_of(*larger.whole) - marginal_of(*smaller.whole))
-    return fall > max(LEAST_GAIN * larger.whole[0].total, SURE**2)
+    return fall > max(LEAST_GAIN * larger.whole[0].total, SURE_STD**2)
 
 
 def scattered(terms: Sequence[LoopTerm], scores: Sequence[Score]) -> tuple[LoopTerm, ...]:

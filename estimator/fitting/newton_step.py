@@ -14,7 +14,7 @@ from estimator.numerics import Swept, pseudo_inverse
 DIVERGED = "the fit diverged; the starting values are too far from the data"
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     """A whole step."""
 
     latents: FloatArray
@@ -34,14 +34,14 @@ class Taken(NamedTuple):
 
     point: Linearised
     solved: Swept
-    step: Step
+    step: NewtonStep
     free: IndexArray
     """(f,) the free parameters"""
     moved: float
     """Length of what was taken of it, in standard deviations."""
 
 
-def newton_step(point: Linearised, solved: Swept, index: IndexArray) -> Step:
+def newton_step(point: Linearised, solved: Swept, index: IndexArray) -> NewtonStep:
     """Step of the latents and of the parameters `index`. Raises `FitError` where they are not finite."""
     product = solved.product()
     information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
@@ -51,4 +51,4 @@ def newton_step(point: Linearised, solved: Swept, index: IndexArray) -> Step:
     step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
     weights = np.zeros(point.chain.width)
     weights[0], weights[1 + index] = 1.0, step_beta
-    return Step(-solved.solution(weights), step_beta, information, covariance, float(product[0, 0]))
+    return NewtonStep(-solved.solution(weights), step_beta, information, covariance, float(product[0, 0]))

@@ -27,7 +27,7 @@ ACCURACY = 0.01
 """Standard deviation of the measurement that is proposed, as a share of the value."""
 INSTRUMENTS = {"kg": 1e-4, "m": 1e-4, "kg m": 1e-6, "kg m^2": 1e-8}
 """Unit -> finest `ACCURACY` that is proposed: that of a body of 10 g and 10 mm. No instrument gives less of a leg's."""
-WORTH = 0.9
+MOST_LEFT = 0.9
 """A value that leaves the intervals of the others at more than this share of their width is not named."""
 
 
@@ -89,7 +89,7 @@ def next_measurement(result: FitResult) -> Measurement | None:
         left = [uncertain_directions(c, scale, free).shape[1] for c in (now, after)]
         found.append(Measurement(name, value, float(std), widths, (left[0], min(left))))
     best = min(found, key=lambda one: (one.undetermined[1], one.share), default=None)
-    if best is None or (best.share > WORTH and best.undetermined[1] == best.undetermined[0]):
+    if best is None or (best.share > MOST_LEFT and best.undetermined[1] == best.undetermined[0]):
         return None
     return best
 

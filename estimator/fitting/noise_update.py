@@ -33,12 +33,12 @@ ANEW = 0.1
 RUNS_APART = 0.5
 """Length of a step, in standard deviations, below which runs may begin to have noise levels of their own."""
 TORQUE_SHARE = 0.4
-"""Most of a measured torque's spread that may be noise, and ..."""
+"""Most of a measured torque's spread that may be noise, see `most_noise`."""
 SHOWN = 1.2
 """See `most_noise`."""
 PASSIVE_SHARE = 0.1
-"""... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
-is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
+"""Least model error of a passive joint as a share of the driven joints' noise. Without both shares a model that is far
+wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
 AT_MOST = 0.99
 """Share of that from which on a level counts as the most that is allowed."""
 REST_STEPS = 8

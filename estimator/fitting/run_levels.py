@@ -2,8 +2,8 @@ r"""Separate noise levels of runs, where runs differ significantly.
 
 Each run is cut into pieces of one length. Log variances of a channel's residual are compared between and within runs
 by analysis of variance (Bartlett and Kendall, J. R. Stat. Soc. Suppl. 8, 1946). Runs get separate levels if the
-difference is significant and equal weights would raise the variance of the estimates by more than WORTH. A run's level
-is then shrunk to the common one by its uncertainty (DerSimonian and Laird, Control. Clin. Trials 7, 1986).
+difference is significant and equal weights would raise the variance of the estimates by more than LEAST_RATIO. A run's
+level is then shrunk to the common one by its uncertainty (DerSimonian and Laird, Control. Clin. Trials 7, 1986).
 
 If the latents take all but a share f of a channel's residual, the information about its log variance is N f^2 / 2. So
 a piece's variance counts 1 / f^2 times.
@@ -26,12 +26,12 @@ from estimator.signals import SignalSet, by_run
 
 CHANCE = 0.01
 """Probability that runs alike differ as much, below which they count as different."""
-WORTH = 1.05
+LEAST_RATIO = 1.05
 """Variance by equal weights over that by the runs' own, below which equal weights stay."""
 PIECES = 8
-"""Pieces into which a run of mean length is cut, of no fewer than ..."""
+"""Pieces into which a run of mean length is cut."""
 LEAST_PIECE = 50
-"""... so many samples."""
+"""Fewest samples of a piece."""
 LEAST_LEFT = 0.02
 """Share of a channel's samples that the latents leave at least."""
 STEP = 2.0
@@ -45,9 +45,9 @@ class Column(NamedTuple):
     name: str
     """As levels by joint and axis are called."""
     square: FloatArray
-    """(N,) squared residual, times ..."""
+    """(N,) squared residual, times the weight"""
     weight: FloatArray
-    """(N,) ... the share of it that is noise"""
+    """(N,) the share of it that is noise"""
     taken: FloatArray
     """(R,) degrees of freedom that the latents took of each run"""
     kind: str
@@ -146,7 +146,7 @@ def run_levels(column: Column, starts: IntArray, lengths: IntArray) -> RunLevels
     ratio = np.exp(0.5 * (mean - centre) * scatter / (scatter + variance))
     ratio /= np.sqrt(np.average(ratio**2, weights=lengths))
     worth = float(np.mean(ratio**2) * np.mean(ratio**-2))
-    differ = freedom > 0 and worth > WORTH and _above(q / others, others, freedom) < CHANCE
+    differ = freedom > 0 and worth > LEAST_RATIO and _above(q / others, others, freedom) < CHANCE
     return RunLevels(ratio, differ)
 
 

@@ -42,11 +42,11 @@ LEAST_GAIN = 0.01
 """Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is
 significant, and of two estimates that predict alike it says nothing about which is nearer to the truth."""
 RUNS_APART = 4
-"""From so many runs on halves are of whole runs; below, each run is cut into ..."""
+"""From so many runs on halves are of whole runs, of fewer runs of blocks of each."""
 BLOCKS = 4
-"""... so many blocks, of which every other one belongs to a half, ..."""
+"""Blocks of a run then, of which every other one belongs to a half."""
 LEAST_BLOCK_S = 3.0
-"""... if they are as long as this."""
+"""Least length of a block."""
 LEAST_SEGMENTS = 6
 """Predicted seconds below which nothing is decided."""
 

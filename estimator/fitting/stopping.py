@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.fitting.damping import RISE
-from estimator.fitting.newton_step import Step
+from estimator.fitting.newton_step import NewtonStep
 from estimator.likelihood import Latents
 
 TOLERANCE = 0.05
@@ -41,7 +41,7 @@ class SmallSteps:
         """Whether the search has ended at the motion x, before a step."""
         return False
 
-    def at(self, step: Step, anew: bool) -> bool:
+    def at(self, step: NewtonStep, anew: bool) -> bool:
         """Whether the search has ended because of what a step promises."""
         return False
 
@@ -74,7 +74,7 @@ class SmallFall:
         self.small = self.small + 1 if abs(fall) < SAME_OBJECTIVE else 0
         return self.small == SMALL_STEPS or iteration == self.limit
 
-    def at(self, step: Step, anew: bool) -> bool:
+    def at(self, step: NewtonStep, anew: bool) -> bool:
         """Whether a step promises too small a fall."""
         return step.fall < SAME_OBJECTIVE and not anew
 

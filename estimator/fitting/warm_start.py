@@ -20,11 +20,11 @@ from estimator.options import FitOptions
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 SHARE = 8
-"""The excerpt is one part in so many, ..."""
+"""The excerpt is one part in so many."""
 LEAST = 400
-"""... but no fewer samples than these, and ..."""
-WORTH = 3
-"""... no more than one part in so many: a record that has fewer is fitted as it is."""
+"""Fewest samples of it."""
+PARTS = 3
+"""It is at most one part in so many: a record that has fewer samples is fitted as it is."""
 STEPS = 15
 """Most steps that are spent on an excerpt."""
 OUTLIER = 4.0
@@ -58,7 +58,7 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
 def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) -> list[tuple[int, slice]]:
     """Segments, by number, and the samples of each that are excited most; empty where there is nothing to gain."""
     wanted = max(LEAST, problem.total // SHARE)
-    if wanted * WORTH > problem.total:
+    if wanted * PARTS > problem.total:
         return []
     values = np.hstack([x.v, x.u])
     spread = np.maximum(values.std(axis=0), 1e-300)
@@ -74,4 +74,4 @@ def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) ->
         first = int(np.argmax(total[size:] - total[: n - size + 1]))
         found.append((i, slice(first, first + size)))
     taken = sum(where.stop - where.start for _, where in found)
-    return found if taken >= LEAST and taken * WORTH <= problem.total else []
+    return found if taken >= LEAST and taken * PARTS <= problem.total else []

@@ -21,9 +21,9 @@ from estimator.model import Mechanism, smooth_sign
 from estimator.prediction.structure import taken
 
 KNOTS, PAIR_KNOTS = 16, 5
-"""Knots of a table of one variable, and of each variable of a table of two, while tables are chosen ..."""
+"""Knots of a table of one variable, and of each variable of a table of two, while tables are chosen."""
 FINE_KNOTS, FINE_PAIR_KNOTS = 48, 9
-"""... and of those that stay."""
+"""The same of tables that stay."""
 STEPS, CONVERGED = 60, 0.02
 """Most steps of the levels, and the change of their logarithms below which they have converged."""
 LEAST_EXPLAINED = 0.1

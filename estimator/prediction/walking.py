@@ -68,9 +68,9 @@ class Walking(NamedTuple):
     torque: FloatArray
     """(N, n) [N m]"""
     first: IndexArray
-    """(K,) first sample after each touchdown, ..."""
+    """(K,) first sample after each touchdown"""
     touchdown_s: FloatArray
-    """... and its instant."""
+    """(K,) instant of each touchdown [s]"""
 
 
 def walking(data: Dataset, mechanism: Mechanism) -> Walking:

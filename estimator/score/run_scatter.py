@@ -35,8 +35,9 @@ LEAST_SHARE = 1e-6
 """Of what all runs know of a direction: a run that holds less says nothing of it, and runs that leave less to all
 others have no second witness."""
 CONVERGED = 0.02
-"""Relative change of the variances between runs at which their search ends, or after ..."""
+"""Relative change of the variances between runs at which their search ends."""
 STEPS = 300
+"""Most steps of that search."""
 SEEN = 0.5
 """Of a variance between runs: with less left unknown in the runs' own values it is seen, not only allowed."""
 START = 10.0

@@ -39,9 +39,9 @@ class Sight(NamedTuple):
     rows: FloatArray
     """(n, n): what each reads is its row times the joints' angles."""
     encoders: tuple[int, ...]
-    """The joints of the first rows' encoders, ..."""
+    """The joints of the first rows' encoders"""
     imus: tuple[int, ...]
-    """... and the numbers of the others' IMUs."""
+    """The numbers of the other rows' IMUs"""
 
 
 def sight(mechanism: Mechanism, encoders: Sequence[int], has_imu: bool) -> Sight:

@@ -60,12 +60,12 @@ class Replayed(NamedTuple):
     """The first limit of the rig file that the recording would have passed, with its time; empty for none."""
 
 
-class Step(NamedTuple):
+class Event(NamedTuple):
     """One thing that the recorder did."""
 
     t_ns: int
     order: int
-    """Among steps of one time."""
+    """Among events of one time."""
     do: Callable[[], None]
 
 
@@ -174,7 +174,7 @@ class _Player:
 
     # -- what the recorder did -----------------------------------------------------------------------------
 
-    def _polls(self, leg: ControllerIntake) -> Iterator[Step]:
+    def _polls(self, leg: ControllerIntake) -> Iterator[Event]:
         """Reads of the link that brought something: telemetry, answers, restarts, faults."""
         arrived: dict[int, list[tuple[str, Any]]] = {}
         for row in self._raw.streams["/leg/telemetry"]:
@@ -185,7 +185,7 @@ class _Player:
             if note.kind in ("fault", "reboot"):
                 arrived.setdefault(note.host_ns, []).append((note.kind, note))
         for t_ns in sorted(arrived):
-            yield Step(t_ns, 0, partial(self._poll, leg, arrived[t_ns]))
+            yield Event(t_ns, 0, partial(self._poll, leg, arrived[t_ns]))
 
     def _poll(self, leg: ControllerIntake, items: list[tuple[str, Any]]) -> None:
         self._link.put([message for kind, item in items for message in self._messages(kind, item)])
@@ -208,54 +208,54 @@ class _Player:
         elif kind == "fault":
             yield from fault_report(item.text)
 
-    def _pings(self, leg: ControllerIntake) -> Iterator[Step]:
+    def _pings(self, leg: ControllerIntake) -> Iterator[Event]:
         """Clock probes that were answered; those before them that were not go out with them."""
         last = -1
         for row in () if self._polled else self._raw.streams["/leg/clock"]:
             last += (int(row["ping_id"]) - last - 1) % 65536 + 1
-            yield Step(int(row["host_tx_ns"]), 3, partial(self._ping, leg, last))
+            yield Event(int(row["host_tx_ns"]), 3, partial(self._ping, leg, last))
 
     def _ping(self, leg: ControllerIntake, number: int) -> None:
         while self._asked <= number:
             self._asked += 1
             leg.ping()
 
-    def _drains(self, bus: ReplayBus, samples: ImuIntake) -> Iterator[Step]:
+    def _drains(self, bus: ReplayBus, samples: ImuIntake) -> Iterator[Event]:
         """Drains of the FIFO that brought something."""
         rows = self._raw.streams["/imu"]
         why = {note.host_ns: note.text for note in self._raw.events if note.kind == "imu gap"}
         for part in np.split(rows, np.flatnonzero(np.diff(rows["drain_before_ns"])) + 1) if rows.size else []:
             before_ns = int(part["drain_before_ns"][0])
-            yield Step(before_ns, 1, partial(_drain, bus, samples, part, why.get(before_ns, "")))
+            yield Event(before_ns, 1, partial(_drain, bus, samples, part, why.get(before_ns, "")))
 
-    def _readings(self, others: SensorIntakes) -> Iterator[Step]:
+    def _readings(self, others: SensorIntakes) -> Iterator[Event]:
         """Of the pivot sensor and of the second shunt: each is one transfer, whose numbers are handed on."""
-        steps: list[Step] = []
+        steps: list[Event] = []
         if others.pivot is not None:
             for row in self._raw.streams["/pivot"]:
                 angle = PivotReading(*(int(row[name]) for name in ("raw", "status", "agc", "magnitude", *TRANSFER)))
-                steps.append(Step(angle.t_after_ns, 2, partial(others.pivot.take, angle)))
+                steps.append(Event(angle.t_after_ns, 2, partial(others.pivot.take, angle)))
         if others.shunt is not None:
             for row in self._raw.streams["/shunt"]:
                 mean = ShuntReading(*(int(row[name]) for name in ("raw", "flags", *TRANSFER)))
-                steps.append(Step(mean.t_after_ns, 2, partial(others.shunt.take, mean)))
+                steps.append(Event(mean.t_after_ns, 2, partial(others.shunt.take, mean)))
         yield from sorted(steps, key=lambda step: step.t_ns)
 
-    def _commands(self, controller: LegController, writer: RunWriter, senses: Senses) -> Iterator[Step]:
+    def _commands(self, controller: LegController, writer: RunWriter, senses: Senses) -> Iterator[Event]:
         def command(t_ns: int, torque_nm: float) -> None:
             seq = controller.command(torque_nm)
             senses.commanded(t_ns, torque_nm)
             writer.add("/leg/command", t_ns, t_ns, torque_nm, seq, sequence=seq)
 
         for row in self._raw.streams["/leg/command"]:
-            yield Step(int(row["host_ns"]), 4, partial(command, int(row["host_ns"]), float(row["torque_nm"])))
+            yield Event(int(row["host_ns"]), 4, partial(command, int(row["host_ns"]), float(row["torque_nm"])))
 
-    def _notes(self, writer: RunWriter) -> Iterator[Step]:
+    def _notes(self, writer: RunWriter) -> Iterator[Event]:
         """What the recorder itself said."""
         notes = [(writer.event, n) for n in self._raw.events] + [(writer.config, n) for n in self._raw.config]
         for say, note in sorted(notes, key=lambda item: item[1].host_ns):
             if note.kind not in BY_DRIVERS:
-                yield Step(note.host_ns, 5, partial(say, *note))
+                yield Event(note.host_ns, 5, partial(say, *note))
 
 
 class _Watch:

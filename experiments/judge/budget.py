@@ -5,9 +5,9 @@ from __future__ import annotations
 from estimator import FitResult
 
 PARTS_TOLD = 3
-"""Sources that a sentence names, ..."""
+"""Sources that a sentence names at most."""
 LEAST_PART = 0.1
-"""... each of at least this share of the interval."""
+"""Least share of the interval of a source that is named."""
 WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
          "step": "suggested faults", "imu_lever_arm": "lever arm"}
 """Source -> its words, where they are not its name."""

@@ -29,9 +29,9 @@ LEAST_P = 1e-9
 """A smaller probability is printed as this one."""
 HELD = ("torque_residual", "passive_joint", "sensor_residual", "repeating_torque")
 """Kinds of findings about residuals that intervals with a budget hold, where the runs enlarge no tolerance by more
-than ..."""
+than ALLOWED."""
 ALLOWED = 4.0
-"""... this factor."""
+"""Factor by which runs may enlarge a tolerance."""
 PRECISE = 0.1
 """Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
 

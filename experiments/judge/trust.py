@@ -179,9 +179,9 @@ def _percent(share: float) -> str:
 
 
 STATED = "actuated", "gravity_mps2", "lever_arm_m", "input"
-"""Facts of a rig, and ..."""
+"""Facts of a rig."""
 CHOSEN = "rotor_inertia", "torque_offset", "friction_velocity_radps"
-"""... those that a fit may have chosen, which two models may therefore have otherwise."""
+"""Facts that a fit may have chosen, which two models may therefore have otherwise."""
 
 
 def model_contradictions(model: MechanismSettings, rig: MechanismSettings, facts: Sequence[str] = STATED + CHOSEN

@@ -143,9 +143,9 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """torque, encoder (null without one), gyro and accel (x and y of each IMU in turn); 1 sigma."""
     reach: tuple[tuple[float, float], ...]
     common: float
-    """Variance of unexplained structure that all runs have, over that of a size estimated from one run, ..."""
+    """Variance of unexplained structure that all runs have, over that of a size estimated from one run"""
     own: float
-    """... and of that which each run has for itself."""
+    """The same of structure that each run has for itself"""
     freedom: float
     unit: tuple[float, ...]
     """Variance of each column's size by one run"""

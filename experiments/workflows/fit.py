@@ -44,9 +44,9 @@ NOT_WHITE = 0.25
 """Such a share that remains at the end is said: intervals take it for white. (On two real arms the published values lie
 up to eight half widths away.)"""
 LEVELS = (2.5, 6.0)
-"""Times its estimate that an encoder's error is then taken to be, and ..."""
+"""Times its estimate that an encoder's error is then taken to be."""
 BETTER = 0.05
-"""... the share by which the next second must be predicted better for it. (Measured on two real arms: 45 and 57 %.)"""
+"""Share by which the next second must be predicted better for it. (Measured on two real arms: 45 and 57 %.)"""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers import fault_remedy
-from drivers.fault_remedy import CLEAR
+from drivers.fault_remedy import CLEAR_FAULTS
 from drivers.protocol import ESTOP_OPEN, Fault
 from legid.cli.main import build_parser
 
@@ -12,7 +12,7 @@ from legid.cli.main import build_parser
 def test_every_fault_has_something_to_look_at_before_it_is_cleared(fault: Fault) -> None:
     look, clear = fault_remedy(fault).rsplit("; ", 1)
     assert look and "manual" not in look
-    assert clear == f"then {CLEAR}"
+    assert clear == f"then {CLEAR_FAULTS}"
 
 
 def test_several_faults_are_one_line_and_the_command_comes_once() -> None:
@@ -27,5 +27,5 @@ def test_an_emergency_stop_is_asked_for_once() -> None:
 
 
 def test_the_command_is_one_that_legid_has() -> None:
-    args = build_parser().parse_args(CLEAR.split()[1:])
+    args = build_parser().parse_args(CLEAR_FAULTS.split()[1:])
     assert args.clear_faults and args.rig == "RIG"

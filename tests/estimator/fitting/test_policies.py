@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.fitting.damping import REACH_RAD, SHORTEST, FallDamping, SwingDamping, shortened
-from estimator.fitting.newton_step import Step
+from estimator.fitting.newton_step import NewtonStep
 from estimator.fitting.stopping import LOOSE_AFTER, SmallFall, SmallSteps
 from estimator.likelihood import Latents
 
@@ -12,9 +12,9 @@ LATE = 5
 """An iteration after the free ones."""
 
 
-def step(*beta: float, fall: float = 1.0) -> Step:
+def step(*beta: float, fall: float = 1.0) -> NewtonStep:
     count = len(beta)
-    return Step(np.zeros((4, 3)), np.array(beta), np.eye(count), np.eye(count), fall)
+    return NewtonStep(np.zeros((4, 3)), np.array(beta), np.eye(count), np.eye(count), fall)
 
 
 def motion(angle: float = 0.0) -> Latents:

@@ -8,7 +8,7 @@ from pytest import MonkeyPatch, mark
 from daq import Dataset
 from estimator import FitError, FitOptions, fit
 from estimator.fitting import descend, motion_search, warm_start
-from estimator.fitting.warm_start import LEAST, WORTH, excerpt
+from estimator.fitting.warm_start import LEAST, PARTS, excerpt
 from estimator.likelihood import LatentProblem, Latents, State
 from estimator.model import leg2
 from estimator.signals import LEAST_SEGMENT, SignalSet, split_signals
@@ -44,7 +44,7 @@ def test_the_moving_part_is_taken() -> None:
 
 
 def test_short_records_and_short_segments_have_none() -> None:
-    assert excerpt(*prepared([still(LEAST * WORTH - 1, slice(0, 900))])) == []
+    assert excerpt(*prepared([still(LEAST * PARTS - 1, slice(0, 900))])) == []
     pieces = [still(LEAST_SEGMENT - 10, slice(0, 50), f"run{i}") for i in range(40)]
     assert excerpt(*prepared(pieces)) == []
     both = [still(3000, slice(0, 900)), *pieces[:5]]
