@@ -21,7 +21,7 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
-from estimator.fitting.extension import Fitted, extend, extended
+from estimator.fitting.extension import ExtendedFit, extend, extended
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.omitted_effects import small_effects, with_candidates
@@ -39,7 +39,7 @@ ROUNDS = 3
 """Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
 
-def with_disturbance(fitted: Fitted) -> Fitted:
+def with_disturbance(fitted: ExtendedFit) -> ExtendedFit:
     """The fit with coloured disturbances at the joints that ask for one.
 
     The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
@@ -76,7 +76,7 @@ def with_disturbance(fitted: Fitted) -> Fitted:
         "Run legid diagnose"))
 
 
-def cause_of_disturbance(fitted: Fitted, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
+def cause_of_disturbance(fitted: ExtendedFit, disturbed: tuple[Disturbance, FittedModel]) -> Effect | None:
     """The listed effect that leaves less than MOST_LEFT of the slow part of a disturbance; None: there is none.
 
     `fitted` is without it, `disturbed` has it and the fit's model. Effects whose scores promise most are fitted in its
@@ -113,7 +113,7 @@ def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalS
     return extended(problem, parts, [effect]).with_disturbance()
 
 
-def _promising(fitted: Fitted) -> list[Effect]:
+def _promising(fitted: ExtendedFit) -> list[Effect]:
     """Effects of usual shapes whose scores promise most likelihood, the first TRIED."""
     problem, state, signals, free, options, *_ = fitted
     candidates = small_effects(problem)

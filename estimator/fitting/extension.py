@@ -21,27 +21,27 @@ Terms = tuple[tuple[Effect, FloatArray], ...]
 """Terms that are estimated with a fit, and are none of its parameters."""
 
 
-class Fitted(NamedTuple):
+class ExtendedFit(NamedTuple):
     """A fit, to which each of `mle.ADDED` adds a term where the records ask for it."""
 
     problem: LatentProblem
     state: State
-    """Without the sizes of what is `extra`"""
+    """Without the sizes of its `terms`"""
     signals: list[SignalSet]
     free: BoolArray
     options: FitOptions
-    extra: Terms = ()
+    terms: Terms = ()
     loop: tuple[LoopTerm, ...] = ()
     said: tuple[str, ...] = ()
     """Sentences about what was added, or was not"""
 
     @property
     def whole(self) -> tuple[LatentProblem, State]:
-        """Its problem and state with what is `extra`."""
-        if not self.extra:
+        """Its problem and state with its `terms`."""
+        if not self.terms:
             return self.problem, self.state
-        beta = np.concatenate([self.state.beta, *(size for _, size in self.extra)])
-        effects = [effect for effect, _ in self.extra]
+        beta = np.concatenate([self.state.beta, *(size for _, size in self.terms)])
+        effects = [effect for effect, _ in self.terms]
         return extended(self.problem, self.signals, effects), replace(self.state, beta=beta)
 
 
@@ -56,12 +56,12 @@ def extended(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequ
     return found.with_disturbance() if problem.disturbed else found
 
 
-def extend(fitted: Fitted, extra: Terms, sought: BoolArray, noise: Noise) -> tuple[LatentProblem, State]:
+def extend(fitted: ExtendedFit, extra: Terms, sought: BoolArray, noise: Noise) -> tuple[LatentProblem, State]:
     """Problem and fit with terms, from their sizes, of which those `sought` (m,) are free, and from this `noise`.
 
     Raises `FitError`.
     """
-    wide, begin = fitted._replace(extra=extra).whole
+    wide, begin = fitted._replace(terms=extra).whole
     begin = replace(begin, noise=noise, covariance=np.zeros((begin.beta.size,) * 2))
     return wide, iterate(wide, begin, np.append(fitted.free, sought), fitted.options,
                          noise_floors(wide, wide.mechanism, fitted.state.beta))

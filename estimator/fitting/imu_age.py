@@ -15,7 +15,7 @@ from daq import BoolArray, FloatArray
 from estimator.effects import SensorTimeSkew
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.excerpt import excerpt
-from estimator.fitting.extension import Fitted, extend, without_sizes
+from estimator.fitting.extension import ExtendedFit, extend, without_sizes
 from estimator.fitting.initial_guess import start_motions
 from estimator.fitting.wls import stack_regressors, weighted_least_squares
 from estimator.model import Mechanism
@@ -62,7 +62,7 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0, aged: bool = False) -> Fitted:
+def with_skew(fitted: ExtendedFit, bound_s: float, age_s: float = 0.0, aged: bool = False) -> ExtendedFit:
     """The fit with the IMU's time line free against the controller's, and a sentence about it.
 
     `bound_s` is 0 where no clock says how late the readings are; they are `aged` where a fit shows it, and were moved
@@ -73,7 +73,7 @@ def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0, aged: bool = F
     the lines stay as they are, and there is no skew.
     """
     state = fitted.state
-    if not (bound_s > 0.0 or aged) or not fitted.problem.has_imu or fitted.extra:
+    if not (bound_s > 0.0 or aged) or not fitted.problem.has_imu or fitted.terms:
         return fitted
     _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -94,7 +94,7 @@ def with_skew(fitted: Fitted, bound_s: float, age_s: float = 0.0, aged: bool = F
         kept, told = True, (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by "
                             f"this motion (known: within {bound_s * 1e6:.0f} us); corrected")
     fitted = fitted._replace(said=(*fitted.said, told))
-    return fitted if not kept else fitted._replace(state=without_sizes(state, again), extra=(
+    return fitted if not kept else fitted._replace(state=without_sizes(state, again), terms=(
         (SensorTimeSkew(), np.array([skew])),))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from daq import Loop
 from estimator.effects import CommandDelay, DampingValue, Effect, LimitValue, MissingIntegral
 from estimator.fit_errors import FIT_ERRORS
-from estimator.fitting.extension import Fitted, extend, without_sizes
+from estimator.fitting.extension import ExtendedFit, extend, without_sizes
 from estimator.fitting.latent_motion import marginal_of
 from estimator.result import TWO_SIDED, LoopTerm
 from estimator.score import Score, robust_covariance
@@ -29,7 +29,7 @@ LEAST_GAIN, SURE_STD = 0.01, 3.3
 """Fall of -2 log likelihood a sample, and standard deviations from zero, from which on the runs show a value."""
 
 
-def with_loop_terms(fitted: Fitted, keys: Sequence[str] | None = None, unlimited: bool = False) -> Fitted:
+def with_loop_terms(fitted: ExtendedFit, keys: Sequence[str] | None = None, unlimited: bool = False) -> ExtendedFit:
     """The fit with the values `keys`, by default all unknown ones, of every loop that makes the torque of its joint.
 
     With `unlimited` their limits are held where no motion meets them. It stays as it was where a fit with them does not
@@ -52,7 +52,7 @@ def with_loop_terms(fitted: Fitted, keys: Sequence[str] | None = None, unlimited
         return fitted
     terms = tuple(LoopTerm(key, j, float(size) + _stated(fitted.signals, key, j), float(one))
                   for (key, j, _), size, one, h in zip(own, sizes, std, held) if not h)
-    return fitted._replace(state=without_sizes(state, again), extra=tuple(zip(effects, sizes[:, None])), loop=terms)
+    return fitted._replace(state=without_sizes(state, again), terms=tuple(zip(effects, sizes[:, None])), loop=terms)
 
 
 def _believed(one: tuple[str, int, float], size: float) -> bool:
@@ -64,7 +64,7 @@ def _believed(one: tuple[str, int, float], size: float) -> bool:
     return key != "delay_s" or abs(size) <= LATEST_S
 
 
-def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]:
+def find_loop_terms(fitted: ExtendedFit, sure: Sequence[str]) -> tuple[LoopTerm, ...]:
     """Values of loops by the runs: those of the keys `sure`, then of each other key of `options.unknown_loop` whether
     the runs show it."""
     now, limited = with_loop_terms(fitted, sure), True
@@ -73,7 +73,7 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
         now = with_loop_terms(fitted, sure)
     if any(one.key == "limit" for one in now.loop):
         bare = with_loop_terms(fitted, sure, unlimited=True)
-        limited = not bare.extra or _is_shown(now, bare)
+        limited = not bare.terms or _is_shown(now, bare)
     rest = [key for key in KINDS if key in fitted.options.unknown_loop and key not in sure]
     keys, told = list(sure), list[LoopTerm]()
     for key in rest:
@@ -90,7 +90,7 @@ def find_loop_terms(fitted: Fitted, sure: Sequence[str]) -> tuple[LoopTerm, ...]
     return (*sized, *told)
 
 
-def _is_shown(larger: Fitted, smaller: Fitted) -> bool:
+def _is_shown(larger: ExtendedFit, smaller: ExtendedFit) -> bool:
     """Whether -2 log p falls by more than chance, and by a material share."""
     fall = 2.0 * (marginal_of(*larger.whole) - marginal_of(*smaller.whole))
     return fall > max(LEAST_GAIN * larger.whole[0].total, SURE_STD**2)
@@ -107,7 +107,7 @@ def scattered(terms: Sequence[LoopTerm], scores: Sequence[Score]) -> tuple[LoopT
     return tuple(replace(one, std=max(one.std, float(std))) for one, std in zip(terms, wide))
 
 
-def _start(fitted: Fitted, key: str, joint: int) -> float | None:
+def _start(fitted: ExtendedFit, key: str, joint: int) -> float | None:
     """Size of a value from which it is sought; None where the runs cannot show it."""
     if key != "limit":
         return 0.0
@@ -115,7 +115,7 @@ def _start(fitted: Fitted, key: str, joint: int) -> float | None:
     return stated if np.isfinite(stated) else None
 
 
-def _tells_damping(fitted: Fitted, terms: Sequence[LoopTerm]) -> bool:
+def _tells_damping(fitted: ExtendedFit, terms: Sequence[LoopTerm]) -> bool:
     """Whether a loop damps otherwise than viscous friction: by the commanded rate, or within a limit that is met."""
     loops = [loop for j in fitted.problem.mechanism.followers if (loop := _loop(fitted.signals, j)) is not None]
     return any(loop.feedforward for loop in loops) or any(one.key == "limit" for one in terms) or any(

@@ -18,7 +18,7 @@ from daq import BoolArray, Dataset
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance_cause import with_disturbance
-from estimator.fitting.extension import Fitted
+from estimator.fitting.extension import ExtendedFit
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
@@ -81,14 +81,12 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     `Dataset.clock_bound_s`."""
     start = time.perf_counter()
     free, beta = free_mask(mechanism, options)
-    problem, state, chosen = search_hold(signals, mechanism, options, free, beta)
-    stated, mechanism = mechanism, problem.mechanism
-    options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
-    fitted = Fitted(problem, state, signals, free, options)
+    fitted, chosen = search_hold(signals, mechanism, options, free, beta)
+    stated, mechanism, options = mechanism, fitted.problem.mechanism, fitted.options
     for add in ADDED:
         fitted = add(fitted)
     fitted = with_skew(fitted, bound_s, age_s, age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0))
-    if age_s and not any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.extra):
+    if age_s and not any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.terms):
         return None
     if fitted.state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         moved = converge_motion(*fitted.whole)
@@ -119,7 +117,7 @@ def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | No
             "value for each zero crossing of the velocity")
 
 
-def _conflict(fitted: Fitted, result: FitResult) -> float:
+def _conflict(fitted: ExtendedFit, result: FitResult) -> float:
     """Standard deviations by which prior and runs disagree; 0 without a prior.
 
     sqrt(fall of -2 log p without the prior / number of known values), over the scatter between runs.
@@ -141,7 +139,7 @@ def _conflict(fitted: Fitted, result: FitResult) -> float:
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
-def _with_scores(result: FitResult, fitted: Fitted) -> FitResult:
+def _with_scores(result: FitResult, fitted: ExtendedFit) -> FitResult:
     """`result` with all that one score of each run says.
 
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.

@@ -14,7 +14,7 @@ import numpy as np
 
 from daq import BoolArray, Dataset, FloatArray
 from estimator.errors import FitError
-from estimator.fitting.extension import Fitted
+from estimator.fitting.extension import ExtendedFit
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.imu_age import rough_age
@@ -54,7 +54,7 @@ class NominalFit(NamedTuple):
         `FitError`."""
         signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
         signals, age_s = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
-        problem, state, chosen = search_hold(signals, mechanism, options, *mask)
+        (problem, state, *_), chosen = search_hold(signals, mechanism, options, *mask)
         whole = state.converged and not age_s and state.noise.scale is None
         state = replace(state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole)
         delay_s, apart_s = (chosen.delay_s, chosen.apart_s) if chosen is not None else (0.0, 0.0)
@@ -67,8 +67,7 @@ def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     """Values of `options.unknown_loop` by the motion of joints whose loop makes the torque; see `find_loop_terms`.
     Raises `FitError`."""
     signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-    problem, state, _ = search_hold(signals, mechanism, options, *mask)
-    return find_loop_terms(Fitted(problem, state, signals, mask[0], replace(options, smoothing_velocity="given")), sure)
+    return find_loop_terms(search_hold(signals, mechanism, options, *mask)[0], sure)
 
 
 def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
@@ -86,16 +85,17 @@ def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOpti
 
 
 def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
-                 beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
-    """Problem and state of `search_motion` under the stated hold, or the likeliest, which is told; FIRST begins."""
-    if options.hold != AUTO:
-        return *search_motion(signals, mechanism, options, free, beta), None
-    problem, state = search_motion(signals, mechanism, replace(options, hold=FIRST), free, beta)
-    chosen = choose_hold(signals, problem.mechanism, state, free, problem, options)
-    if chosen.hold != FIRST:
-        own = replace(options, hold=chosen.hold, smoothing_velocity="given")
-        problem, state = search_motion(signals, problem.mechanism, own, free, beta, state)
-    return problem, state, chosen
+                 beta: FloatArray) -> tuple[ExtendedFit, HoldChoice | None]:
+    """The fit of `search_motion` under the stated hold, or the likeliest, which is told; FIRST begins."""
+    begin, chosen = replace(options, hold=FIRST) if options.hold == AUTO else options, None
+    problem, state = search_motion(signals, mechanism, begin, free, beta)
+    known = replace(begin, smoothing_velocity="given")
+    if options.hold == AUTO:
+        chosen = choose_hold(signals, problem.mechanism, state, free, problem, options)
+        known = replace(known, hold=chosen.hold)
+        if chosen.hold != FIRST:
+            problem, state = search_motion(signals, problem.mechanism, known, free, beta, state)
+    return ExtendedFit(problem, state, signals, free, known), chosen
 
 
 def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.fit_errors import FIT_ERRORS
-from estimator.fitting.extension import Fitted
+from estimator.fitting.extension import ExtendedFit
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import marginal_of
@@ -33,7 +33,7 @@ FIRST_STEPS = 6
 level falls for tens of steps. (Of 29 fits, and of 18 fresh ones, none that is kept was less likely by then.)"""
 
 
-def with_unseen_torque(fitted: Fitted) -> Fitted:
+def with_unseen_torque(fitted: ExtendedFit) -> ExtendedFit:
     """The fit with torque that no sample shows at every driven joint; as it was where nothing asks for it."""
     problem, state, _, free, options, *_ = fitted
     mechanism = problem.mechanism

@@ -20,7 +20,7 @@ from estimator.fitting import (
 )
 from estimator.fitting.disturbance import predicts_worse
 from estimator.fitting.disturbance_cause import cause_of_disturbance
-from estimator.fitting.extension import Fitted
+from estimator.fitting.extension import ExtendedFit
 from estimator.free_runs import FittedModel
 from estimator.likelihood import OFF, LatentProblem
 from estimator.model import leg2
@@ -100,7 +100,7 @@ def test_an_effect_of_a_fit_that_went_astray_explains_no_disturbance(wandering: 
     found = []
     for beta in (leg.beta(), leg.beta() * np.where(np.arange(9) < 5, 0.5, 1.0)):
         given, held = replace(state, beta=beta), np.zeros(9, dtype=bool)
-        found.append(cause_of_disturbance(Fitted(problem, given, signals, held, OPTIONS), (
+        found.append(cause_of_disturbance(ExtendedFit(problem, given, signals, held, OPTIONS), (
             Disturbance(large, np.ones(2), state.noise.torque), kept)))
     assert found[0] is not None and found[1] is None
 
