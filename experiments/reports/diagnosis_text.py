@@ -211,7 +211,6 @@ def short_diagnosis_text(found: DiagnosisDocument) -> str:
 
 def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
     """Text after `legid diagnose`: the verdict first. The next step names `files`."""
-    extended = found.causes and found.parameters.extended
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(found.runs).items() if names)
     blocks = [
         with_names(found.headline.text, files),
@@ -220,7 +219,7 @@ def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
         _titled(budget_words(found), budget_table(found)),
         _titled(rotation_words(found), rotation_table(found)) if found.budget and found.rotations else "",
         causes_text(found),
-        _titled(PARAMETERS, parameter_table(found)) if extended else "",
+        _titled(PARAMETERS, parameter_table(found)) if found.parameters.extended else "",
         _titled("Present, not material:", size_table(found.immaterial)),
         "\n".join(filter(None, [errors_on_held_out(found), gap_text(found)])),
         _candidates(found),
