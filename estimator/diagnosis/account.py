@@ -50,7 +50,8 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     found = with_noise(found, nominal if best is None else best.model, family.noise)
     p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
     if decision.verdict == "none":
-        own = with_terms(context, Explanation(nominal, 0.0) if best is None or not decision.within else best)
+        start = Explanation(nominal, 0.0) if best is None or not decision.within else best
+        own = with_terms(context, start, context.terms)
         if own.keys:
             found = with_model(found, own)
         small = [c for e in (best, own) if e is not None and e.keys for c in causes_of(
@@ -62,7 +63,7 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     answer, *others = decision.answer.best
     if decision.minor is not None:
         answer = with_minor(answer, decision.minor)
-    told = [with_clock(context, with_terms(context, answer)), *others]
+    told = [with_clock(context, with_terms(context, answer, context.terms)), *others]
     return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
 
 

@@ -16,14 +16,22 @@ from estimator.diagnosis.context import DiagnosisContext, assess, with_generic
 from estimator.diagnosis.data_split import RunSplit, folds, turned
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable, joined, measure, spread_out
-from estimator.diagnosis.explanation import Explanation, admissible, by_error, fewest_beyond, is_close, shortlisted
+from estimator.diagnosis.explanation import (
+    Explanation,
+    admissible,
+    by_error,
+    fewest_beyond,
+    is_close,
+    presence,
+    shortlisted,
+)
 from estimator.diagnosis.model import Model, gain_over, nominal_model, refit
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
 from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, surely_errs_less, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
-from estimator.effects import SensorTimeSkew
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fit_errors import FIT_ERRORS
 from estimator.parallel import parallel_map
@@ -96,11 +104,11 @@ def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation],
     return answer, extended
 
 
-def with_terms(context: DiagnosisContext, explanation: Explanation) -> Explanation:
-    """Re-fitted with the terms that slow torque asks for, all `within`, where train runs that are left out surely err
+def with_terms(context: DiagnosisContext, explanation: Explanation, terms: Sequence[Effect]) -> Explanation:
+    """Re-fitted with those `terms` that are then present, all `within`, where train runs that are left out surely err
     less by them; as it was otherwise."""
     model, own = explanation.model, explanation.keys
-    more = [e for e in context.terms if e.key not in own]
+    more = [e for e in terms if e.key not in own]
     if not more:
         return explanation
     try:
@@ -110,6 +118,9 @@ def with_terms(context: DiagnosisContext, explanation: Explanation) -> Explanati
     except FIT_ERRORS:
         return explanation
     (found,) = assess(context, [replace(explanation, model=again, left=NO_TESTS)])
+    there = [e for e, seen in zip(again.effects, presence(found)) if seen and e in more]
+    if len(there) < len(more):
+        return with_terms(context, explanation, there)
     return replace(found, gain=explanation.gain + gain_over(model, again) / found.left.scatter,
                    within=explanation.within | found.within | {e.key for e in more})
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
 from estimator.diagnosis import family
@@ -79,18 +80,41 @@ def test_a_term_that_slow_torque_asks_for_stays_where_left_out_runs_surely_err_l
     """A gyro's bias and an offset of the torque: the fit's model has the offset, so the diagnosis' has it too."""
     bias, offset = Named("bias"), Named("offset")
     asked, best = context(), replace(explained(9000.0, bias), within=frozenset())
-    assert with_terms(asked, best) is best  # nothing asks
+    assert with_terms(asked, best, asked.terms) is best  # nothing asks
     asked.terms = cast(Sequence[Effect], [bias, offset])
     again = fitted(9400.0, bias, offset)
     monkeypatch.setattr(family, "refit", lambda model, pairs: again if [e for e, _ in pairs] == [bias, offset] else 0)
     monkeypatch.setattr(family, "surely_errs_less", lambda one, two, _: less and (one, two) == (again, best.model))
-    monkeypatch.setattr(family, "assess", lambda _, some: [replace(one, left=best.left) for one in some])
-    found = with_terms(asked, best)
+    monkeypatch.setattr(family, "assess", lambda _, some: [
+        replace(explained(9000.0, bias, offset), model=one.model, left=best.left) for one in some])
+    found = with_terms(asked, best, asked.terms)
     if not less:
         assert found is best
         return
     assert found.model is again and found.beyond == {"bias"} and found.within == {"offset"}
     assert found.gain == pytest.approx(9000.0 + 400.0 / best.left.scatter)
+
+
+def test_a_term_of_no_size_is_not_told_as_present(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slow torque asked for an offset, and a rotor's inertia explained all of it."""
+    rotor, offset = Named("rotor"), Named("offset")
+    asked, best, fits = context(), explained(9000.0, "bias"), list[set[str]]()
+
+    def refitted(model: object, pairs: Sequence[tuple[Named, object]]) -> Model:
+        fits.append({e.key for e, _ in pairs})
+        again = fitted(9400.0, *(e for e, _ in pairs))
+        sizes = [np.array([0.5 if e is offset else 9.0]) for e, _ in pairs]
+        return cast(Model, SimpleNamespace(effects=again.effects, named=again.effects, log_marginal=4700.0,
+                                           sizes=lambda: sizes, places=again.places, std=again.std))
+
+    def assessed(_: object, some: Sequence[Explanation]) -> list[Explanation]:
+        return [replace(explained(9400.0, *(e.key for e in one.model.effects)), model=one.model) for one in some]
+
+    monkeypatch.setattr(family, "refit", refitted)
+    monkeypatch.setattr(family, "surely_errs_less", lambda *_: True)
+    monkeypatch.setattr(family, "assess", assessed)
+    found = with_terms(asked, best, cast(Sequence[Effect], [rotor, offset]))
+    assert fits == [{"bias", "rotor", "offset"}, {"bias", "rotor"}] and found.keys == {"bias", "rotor"}
 
 
 def test_a_term_that_cannot_be_fitted_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +125,7 @@ def test_a_term_that_cannot_be_fitted_is_left_out(monkeypatch: pytest.MonkeyPatc
         raise FitError("no")
 
     monkeypatch.setattr(family, "refit", fails)
-    assert with_terms(asked, best) is best
+    assert with_terms(asked, best, asked.terms) is best
 
 
 @pytest.mark.parametrize("count", range(2, 14))
