@@ -27,7 +27,7 @@ class InputError(Exception):
 
 @contextmanager
 def input_errors(path: Path | str, remedy: str) -> Iterator[None]:
-    """Says of a file that the system cannot give what it says itself, and the remedy, as an `InputError`."""
+    """Raises `InputError` with the words of the system and this remedy where the file at `path` is not to be had."""
     try:
         yield
     except OSError as error:

@@ -38,7 +38,7 @@ SHOWN_RAD, SURE_STD = 0.01, 5.0
 """Gravity shows a zero whose standard deviation is below the first. What runs have in common is taken off where it
 exceeds so many standard deviations."""
 PARTS, AGREE = 4, 2.0
-"""Parts of the runs, and how many times its largest departure in one of them it then exceeds, too."""
+"""Parts of the runs, and the multiple of its largest departure in one of them that it exceeds, too."""
 WRONG_RAD = 0.015
 """A zero is taken off though nobody asked if it is beyond five times what one that is set by hand may be off."""
 

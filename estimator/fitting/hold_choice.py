@@ -52,7 +52,7 @@ KNOWN, KNOWN_S = 0.05, 2e-4
 """Standard deviation of how late a hold without a delay, or an IMU without an age, may be [samples] and [s]: no model
 of a leg tells less."""
 EXCERPT = 2000
-"""Samples of a record that are looked at at least: of each segment its first part."""
+"""Fewest samples of a record that are looked at: of each segment its first part."""
 SHARE = 4
 """Of a longer record one sample in so many is looked at."""
 LOST = 100.0

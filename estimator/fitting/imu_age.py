@@ -62,40 +62,42 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(fitted: ExtendedFit, bound_s: float, age_s: float = 0.0, aged: bool = False) -> ExtendedFit:
+def with_skew(fitted: ExtendedFit, bound_s: float, age_s: float, aged: bool) -> ExtendedFit:
     """The fit with the IMU's time line free against the controller's, and a sentence about it.
 
-    `bound_s` is 0 where no clock says how late the readings are; they are `aged` where a fit shows it, and were moved
-    by `age_s` already.
+    `bound_s` is 0 where no clock says how late the readings are. They were moved by `age_s` already, or are `aged` by
+    what the fit shows; else they are taken as they are.
 
     Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    state = fitted.state
-    if not (bound_s > 0.0 or aged) or not fitted.problem.has_imu or fitted.terms:
+    if not (bound_s or age_s or aged) or not fitted.problem.has_imu or fitted.terms:
         return fitted
-    _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), state.noise)
+    _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), fitted.state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
-    late, kept = skew + age_s, False
-    if bound_s == 0.0:
-        kept = again.converged and abs(late) < LATEST_S
-        told = (f"the IMU is {1e3 * abs(late):.3g} ms {'late' if late > 0.0 else 'early'} against encoder and torque, "
-                f"+-{TWO_SIDED * std * 1e3:.2g} ms, by this motion; corrected") if kept else (
-                    "this motion does not determine how late the IMU is")
-    elif not again.converged or std > bound_s:
-        told = (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the motion does not "
-                "determine it better")
-    elif abs(late) > bound_s:
-        told = (f"the IMU would fit best {_late(late)} against the controller, more than the {bound_s * 1e6:.0f} us "
-                "that clocks and [imu] leave open. This is not corrected, because something else is wrong: run legid "
-                "diagnose")
-    else:
-        kept, told = True, (f"the IMU is {_late(late)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by "
-                            f"this motion (known: within {bound_s * 1e6:.0f} us); corrected")
+    kept, told = _judged(again.converged, skew + age_s, std, bound_s)
     fitted = fitted._replace(said=(*fitted.said, told))
-    return fitted if not kept else fitted._replace(state=without_sizes(state, again), terms=(
+    return fitted if not kept else fitted._replace(state=without_sizes(fitted.state, again), terms=(
         (SensorTimeSkew(), np.array([skew])),))
+
+
+def _judged(converged: bool, late_s: float, std_s: float, bound_s: float) -> tuple[bool, str]:
+    """Whether the IMU is that late, and a sentence about it."""
+    if bound_s == 0.0:
+        if not (converged and abs(late_s) < LATEST_S):
+            return False, "this motion does not determine how late the IMU is"
+        return True, (f"the IMU is {1e3 * abs(late_s):.3g} ms {'late' if late_s > 0.0 else 'early'} against encoder "
+                      f"and torque, +-{TWO_SIDED * std_s * 1e3:.2g} ms, by this motion; corrected")
+    if not converged or std_s > bound_s:
+        return False, (f"the IMU's time line is used as it is known (within {bound_s * 1e6:.0f} us); the motion does "
+                       "not determine it better")
+    if abs(late_s) > bound_s:
+        return False, (f"the IMU would fit best {_late(late_s)} against the controller, more than the "
+                       f"{bound_s * 1e6:.0f} us that clocks and [imu] leave open. This is not corrected, because "
+                       "something else is wrong: run legid diagnose")
+    return True, (f"the IMU is {_late(late_s)} against the controller, +-{TWO_SIDED * std_s * 1e6:.0f} us, by this "
+                  f"motion (known: within {bound_s * 1e6:.0f} us); corrected")
 
 
 def _late(skew_s: float) -> str:

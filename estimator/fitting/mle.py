@@ -85,7 +85,7 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     stated, mechanism, options = mechanism, fitted.problem.mechanism, fitted.options
     for add in ADDED:
         fitted = add(fitted)
-    fitted = with_skew(fitted, bound_s, age_s, age_s != 0.0 or (chosen is not None and chosen.imu_age_s != 0.0))
+    fitted = with_skew(fitted, bound_s, age_s, chosen is not None and chosen.imu_age_s != 0.0)
     if age_s and not any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.terms):
         return None
     if fitted.state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone

@@ -42,7 +42,7 @@ LEAST_GAIN = 0.01
 """Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is
 significant, and of two estimates that predict alike it says nothing about which is nearer to the truth."""
 RUNS_APART = 4
-"""From so many runs on halves are of whole runs, of fewer runs of blocks of each."""
+"""From so many runs on, a half has whole runs; of fewer runs, it has blocks of each."""
 BLOCKS = 4
 """Blocks of a run then, of which every other one belongs to a half."""
 LEAST_BLOCK_S = 3.0

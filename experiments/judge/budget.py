@@ -5,7 +5,7 @@ from __future__ import annotations
 from estimator import FitResult
 
 PARTS_TOLD = 3
-"""Sources that a sentence names at most."""
+"""Most sources that a sentence names."""
 LEAST_PART = 0.1
 """Least share of the interval of a source that is named."""
 WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
