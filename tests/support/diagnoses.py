@@ -11,9 +11,9 @@ from estimator.diagnosis import (
     Rotation,
     SensorGain,
     Signature,
-    SizeEstimate,
     Trace,
 )
+from estimator.verdicts import SizeEstimate
 
 NAMES = tuple(f"beta{k}" for k in range(1, 10))
 

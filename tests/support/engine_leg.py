@@ -58,13 +58,14 @@ class Pinocchio:
             self._model.appendBodyToJoint(parent, body, pin.SE3.Identity())
         self._data = self._model.createData()
 
+    def acceleration(self, q: FloatArray, v: FloatArray, torque: FloatArray) -> FloatArray:
+        """(2,) under torques (2,) at both joints."""
+        return np.array(self._pin.aba(self._model, self._data, q, v, torque))
+
     def step(self, q: FloatArray, v: FloatArray, torque: float) -> Step:
         drive = np.array([0.0, torque])
-
-        def acceleration(q: FloatArray, v: FloatArray) -> FloatArray:
-            return np.array(self._pin.aba(self._model, self._data, q, v, drive - friction(self.leg, v)))
-
-        return Step(*runge_kutta.step(acceleration, q, v, 1.0 / STEP_HZ))
+        return Step(*runge_kutta.step(lambda q, v: self.acceleration(q, v, drive - friction(self.leg, v)), q, v,
+                                      1.0 / STEP_HZ))
 
 
 class Bullet:

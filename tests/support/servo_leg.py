@@ -55,7 +55,7 @@ def follow(leg: Leg, rng: np.random.Generator | int, *, gain: float, damping: fl
     n, sub, every = int(seconds * rate_hz), round(1.0 / (rate_hz * STEP_S)), round(1.0 / (loop_hz * STEP_S))
     ticks = np.arange(n * sub) * STEP_S
     command = multisine(rng, ticks, amplitude, high=high)
-    servo = _Servo(gain, damping, limit, faults, round(faults.delay_s / (STEP_S * every)), every * STEP_S)
+    servo = Servo(gain, damping, limit, faults, round(faults.delay_s / (STEP_S * every)), every * STEP_S)
     rows, grid, coulomb, torque = np.empty((n, 3)), 2.0 * np.pi / COUNTS, np.array(leg.coulomb), 0.0
     heard = np.array([1.0, 1.0 + faults.encoder_scale])
     for k in range(n * sub):
@@ -74,7 +74,7 @@ def follow(leg: Leg, rng: np.random.Generator | int, *, gain: float, damping: fl
     return Dataset(name, rate_hz, np.arange(n) / rate_hz, columns)
 
 
-class _Servo:
+class Servo:
     """A position controller that works from tick to tick."""
 
     def __init__(self, gain: float, damping: float, limit: float, faults: ServoFaults, late: int, period_s: float
@@ -102,7 +102,6 @@ class _Servo:
         most = min(self.limit, f.limit)
         wanted = float(np.clip(wanted, -most, most))
         return wanted / (1.0 + f.sag * abs(wanted))
-
 
     def _kept(self, time_constant_s: float) -> float:
         return float(np.exp(-self.period_s / time_constant_s)) if time_constant_s else 0.0

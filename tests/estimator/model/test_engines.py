@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import engine_leg, timed_leg
+from tests.support import engine_leg, servo_plants, timed_leg
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing
 
@@ -41,3 +41,16 @@ def test_a_log_may_lie_between_ticks() -> None:
     run = timed_leg.logged(leg, rng, timing, rows, plan, noise=(0.0, 0.0, 0.0), log_hz=200.0)
     assert run.rate_hz == 200.0 and len(run) == 200
     assert_array_equal(run["tau2_nm"][:4], plan[[0, 2, 5, 7]])
+
+
+@pytest.mark.parametrize("name", ["Pinocchio", "MuJoCo"])
+def test_simulators_move_a_leg_behind_a_loop_alike(name: str) -> None:
+    if name not in servo_plants.there():
+        pytest.skip('not installed: pip install "legid[engines]"')
+    loop, found = servo_plants.Loop(8.0, 0.1, 1.2, 500.0, 0.0125), []
+    for plant in ("by hand", name):
+        rng = np.random.default_rng(7)
+        found.append(servo_plants.record(plant, random_leg(rng), loop, rng, log_hz=100.0, seconds=1.0, amplitude=0.7,
+                                         high=2.0, name="run"))
+    for angle in ("q1_rad", "q2_rad"):
+        assert_allclose(found[1][angle], found[0][angle], atol=2e-3)
