@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from scipy.special import stdtrit
-
 from estimator.change.groups import kind_of
-from estimator.change.result import Change, ChangedCause, Size
-from estimator.effects import Effect, classes
+from estimator.change.result import Change, ChangedCause
+from estimator.effects import named
 from estimator.loops import LawChange
 from estimator.model import Mechanism
 from estimator.verdicts import ChangeVerdict
@@ -29,22 +26,13 @@ def with_changed_law(found: Change, changes: Sequence[LawChange], mechanism: Mec
     rivals = [name for change in changes for name in change.cause.rivals]
     if alone and rivals:
         verdict = "one_of"
-        causes += tuple(replace(causes[0], effect=name, sentence=_named(name).sentence, size=()) for name in rivals)
+        causes += tuple(replace(causes[0], effect=name, sentence=named(name).sentence, size=()) for name in rivals)
     own = {cause.effect for cause in causes}
     return replace(found, verdict=verdict, sentence=sentence, p_any=min(found.p_any, causes[0].p_value),
                    causes=(*causes, *(cause for cause in found.causes if cause.effect not in own)))
 
 
-def _named(name: str) -> type[Effect]:
-    return next(kind for kind in classes() if kind.name == name)
-
-
 def _cause(change: LawChange, mechanism: Mechanism, volts: float) -> ChangedCause:
-    cause, kind = change.cause, _named(change.cause.effect)
-    factor = volts**-2 if cause.effect == "torque_saturation" else 1.0
-    half = float(stdtrit(cause.freedom, 0.975)) * cause.std * factor
-    sizes = tuple(Size(s.name, mechanism.unit(s.unit), float(v), (float(v - h), float(v + h)))
-                  for s, v, h in zip(kind.sizes, np.asarray(cause.size) * factor, half))
-    own = kind.per_joint or (kind.per_motor and len(mechanism.actuated) > 1)
-    return ChangedCause(cause.effect, kind_of(kind), cause.joint + 1 if own else None, kind.sentence, sizes,
-                        cause.p_value)
+    effect, *_, sizes = change.cause.told(mechanism, volts)
+    return ChangedCause(effect.name, kind_of(type(effect)), None if effect.joint is None else effect.joint + 1,
+                        effect.sentence, sizes, change.cause.p_value)

@@ -5,20 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from estimator.verdicts import ChangeVerdict
+from estimator.verdicts import ChangeVerdict, SizeEstimate
 
 Kind = Literal["parameters", "mechanics", "sensors", "timing", "environment", "noise"]
 """What a cause is a change of."""
-
-
-@dataclass(frozen=True)
-class Size:
-    """Change of one size with its 95 % interval."""
-
-    name: str
-    unit: str
-    value: float
-    ci95: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -39,7 +29,7 @@ class ChangedCause:
     joint: int | None
     """1-based; of a payload the link it sits on; None for the whole rig."""
     sentence: str
-    size: tuple[Size, ...]
+    size: tuple[SizeEstimate, ...]
     p_value: float
     """Over all candidates tried."""
 

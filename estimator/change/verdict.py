@@ -13,11 +13,12 @@ from daq import FloatArray
 from estimator.change.contrast import Contrast
 from estimator.change.groups import Group
 from estimator.change.payload import fieller
-from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange, Size
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange
 from estimator.change.scores import ReferenceFit
 from estimator.change.structure import Structure
 from estimator.fit_errors import FIT_ERRORS
 from estimator.score import ALPHA, HIDDEN, Score
+from estimator.verdicts import SizeEstimate
 
 POWER = 0.8
 RIVAL = 6.0
@@ -205,7 +206,7 @@ def _cause(scored: Scored, k: int, others: Sequence[int]) -> ChangedCause:
     middle = own.size()  # a body's likeliest sizes may lie at the edge of what a body can have
     half = t * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     half[np.diag(own.information) <= 0.0] = np.inf
-    sizes = [Size(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
+    sizes = [SizeEstimate(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
              for n, u, v, m, h in zip(group.names, group.units, values, middle, half)]
     sentence = group.sentence
     if group.effect == "payload":
@@ -215,18 +216,18 @@ def _cause(scored: Scored, k: int, others: Sequence[int]) -> ChangedCause:
     return ChangedCause(group.effect, group.kind, group.joint, sentence, tuple(sizes), scored.p_value(k))
 
 
-def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -> Iterator[Size]:
+def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -> Iterator[SizeEstimate]:
     """Of a body: its distance from the joint where its mass is determined, else the furthest that it can be."""
     h = group.names.index("first_moment")
     name, (above, below) = ("distance", (h, 0)) if group.body else ("farthest", (h + 1, h))
     pair = np.array([above, below])
     found = fieller(values[pair], covariance[np.ix_(pair, pair)], t)
     if found is not None and values[below] != 0.0:
-        yield Size(name, "m", float(values[above] / values[below]), found)
+        yield SizeEstimate(name, "m", float(values[above] / values[below]), found)
 
 
 def _noise_cause(one: LevelChange) -> ChangedCause:
-    size = Size(one.column, "times", one.ratio, one.ci95)
+    size = SizeEstimate(one.column, "times", one.ratio, one.ci95)
     return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
 
 

@@ -10,5 +10,4 @@ from .result import Remainder as Remainder
 from .result import Rotation as Rotation
 from .result import SensorGain as SensorGain
 from .result import Signature as Signature
-from .result import SizeEstimate as SizeEstimate
 from .result import Trace as Trace

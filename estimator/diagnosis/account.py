@@ -19,7 +19,7 @@ from estimator.diagnosis.gain import gains_by_horizon, measure_gain, smoothed_te
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation, SizeEstimate
+from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation
 from estimator.diagnosis.tolerances import with_tolerances
 from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
@@ -27,6 +27,7 @@ from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.prediction import FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
+from estimator.verdicts import SizeEstimate
 
 NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
           "The evidence for the extension is the likelihood of the held-out runs")

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from daq import FloatArray
 from estimator.diagnosis.account import label, sizes_text
-from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
-from estimator.effects import Effect, classes, placed
+from estimator.diagnosis.result import Cause, Diagnosis
+from estimator.effects import Effect, named
 from estimator.loops import LawCause, LawCheck
 from estimator.model import Mechanism
-from estimator.numerics import student_quantile
 from estimator.verdicts import Verdict
 
 
@@ -34,37 +34,17 @@ def with_law(found: Diagnosis, checks: Sequence[LawCheck], mechanism: Mechanism,
     alone = found.verdict == "none"
     sentence = f"{words[0].upper()}{words[1:]}." + ("" if alone else f" Of the leg: {found.sentence}")
     if alone and unsure:
-        also = tuple(replace(causes[0], effect=name, size=(), sentence=_named(name).sentence) for name in unsure)
+        also = tuple(replace(causes[0], effect=name, size=(), sentence=named(name).sentence) for name in unsure)
         return replace(found, verdict="one_of", sentence=sentence, causes=(*causes, *also))
     verdict: Verdict = "named" if found.verdict in ("none", "named") else "partial"
-    return _extended(replace(found, verdict=verdict, sentence=sentence, causes=(*causes, *own)), shown, mechanism,
-                     volts)
-
-
-def _named(name: str) -> type[Effect]:
-    return next(kind for kind in classes() if kind.name == name)
-
-
-def _placed(cause: LawCause, mechanism: Mechanism) -> Effect:
-    kind = _named(cause.effect)
-    own = kind.per_joint or (kind.per_motor and len(mechanism.actuated) > 1)
-    return placed(kind, cause.joint if own else None, mechanism)
-
-
-def scale_of(check: LawCheck, cause: LawCause, volts: float) -> float:
-    """Factor from a law's size to the effect's: of a duty to its volts, of a share of the gain to the gain's unit."""
-    if cause.effect == "torque_saturation":
-        return volts**-2
-    return float(np.mean(check.after.gains)) * volts if cause.effect == "missing_integral" else 1.0
+    return _extended(replace(found, verdict=verdict, sentence=sentence, causes=(*causes, *own)),
+                     [cause for _, cause in shown], mechanism, volts)
 
 
 def _cause(check: LawCheck, cause: LawCause, mechanism: Mechanism, volts: float) -> Cause:
-    effect, factor = _placed(cause, mechanism), scale_of(check, cause, volts)
-    half = student_quantile(cause.freedom) * cause.std * factor
-    sizes = tuple(SizeEstimate(s.name, mechanism.unit(s.unit), float(v), (float(v - h), float(v + h)))
-                  for s, v, h in zip(effect.sizes, cause.size * factor, half))
-    return Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(cause.size * factor),
-                 sizes, cause.p_value, check.before.deviance - check.after.deviance, cause.rivals)
+    effect, size, _, sizes = cause.told(mechanism, volts)
+    return Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(size), sizes,
+                 cause.p_value, check.before.deviance - check.after.deviance, cause.rivals)
 
 
 def _told(cause: Cause, shown: LawCause) -> str:
@@ -78,22 +58,17 @@ def _broken(check: LawCheck) -> str:
             f"{100.0 * check.after.share:.2g} % of the input, and no listed fault explains it")
 
 
-def _extended(found: Diagnosis, shown: Sequence[tuple[LawCheck, LawCause]], mechanism: Mechanism, volts: float
-              ) -> Diagnosis:
+def _extended(found: Diagnosis, shown: Sequence[LawCause], mechanism: Mechanism, volts: float) -> Diagnosis:
     """With the faults in its extension, which simulates the readings as they are."""
     effects: list[tuple[Effect, FloatArray]] = list(found.effects)
     beta, covariance = found.extended_beta, found.extended_covariance
     if not effects:
         beta = np.array([found.nominal[name] for name in mechanism.names])
         covariance = np.diag([found.nominal_std[name] ** 2 for name in mechanism.names])
-    for check, cause in shown:
-        effect, factor = _placed(cause, mechanism), scale_of(check, cause, volts)
-        effects.append((effect, cause.size * factor))
-        size, k = len(beta), cause.size.size
-        wide = np.zeros((size + k, size + k))
-        wide[:size, :size] = covariance[:size, :size]
-        wide[size:, size:] = np.diag((cause.std * factor) ** 2)
-        beta, covariance = np.append(beta, cause.size * factor), wide
+    for cause in shown:
+        effect, size, std, _ = cause.told(mechanism, volts)
+        effects.append((effect, size))
+        beta, covariance = np.append(beta, size), block_diag(covariance[: len(beta), : len(beta)], np.diag(std**2))
     extended = found.extended or dict(found.nominal)
     return replace(found, effects=tuple(effects), extended_beta=beta, extended_covariance=covariance,
                    extended=extended, extended_std=found.extended_std or dict(found.nominal_std))

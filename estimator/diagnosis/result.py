@@ -13,17 +13,7 @@ from estimator.effects import Effect
 from estimator.model import Mechanism
 from estimator.prediction import Structure
 from estimator.use import Use
-from estimator.verdicts import Verdict
-
-
-@dataclass(frozen=True)
-class SizeEstimate:
-    """One size of a cause with its 95 % interval."""
-
-    name: str
-    unit: str
-    value: float
-    ci95: tuple[float, float]
+from estimator.verdicts import SizeEstimate, Verdict
 
 
 @dataclass(frozen=True)

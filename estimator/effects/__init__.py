@@ -28,7 +28,7 @@ from estimator.effects.loop_effect import ClosedLoop
 from estimator.effects.loop_integral import RecordedMotion, SimulatedIntegral, summed
 from estimator.effects.loop_values import DampingValue, LimitValue, VelocityFilter
 from estimator.effects.missing_integral import MissingIntegral
-from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
+from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, named, placed
 from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
 from estimator.effects.sensor_time_skew import SensorTimeSkew
 from estimator.effects.state_torque import StateTorque, Table, Variable
@@ -83,6 +83,7 @@ __all__ = [
     "by_motion",
     "classes",
     "library",
+    "named",
     "placed",
     "summed",
 ]

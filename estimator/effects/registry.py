@@ -23,11 +23,17 @@ ENTRY_POINT = "legid.effects"
 """Group under which a user's own package names its `Effect` classes."""
 
 
+@cache
 def classes() -> tuple[type[Effect], ...]:
     """Every effect: the library's, then those that installed packages add under the entry point group."""
     from importlib.metadata import entry_points
 
     return (*library_classes(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
+
+
+def named(name: str) -> type[Effect]:
+    """The effect of this name."""
+    return next(kind for kind in classes() if kind.name == name)
 
 
 @cache

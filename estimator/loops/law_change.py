@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -120,7 +120,7 @@ def _changed(before: LawSizes, after: Sequence[LawRun], joint: int) -> list[LawC
         gained = as_before.share**2 - own.share**2
         if p < ALPHA and gained > max(SUFFICES * as_before.share**2, LEAST_SHARE**2):
             share = as_before.share, own.share
-            told = LawCause(cause.effect, joint, change, std, p, share, cause.rivals, count + then.blocks - 2)
+            told = replace(cause, size=change, std=std, p_value=p, share=share, freedom=count + then.blocks - 2)
             found.append(LawChange(told, own.faults[-1:]))
         known = own.faults
     return found

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from daq import FloatArray
+from estimator.effects import Effect, named, placed
 from estimator.loops.law_faults import LAW_FAULTS
 from estimator.loops.law_fit import (
     ALPHA,
@@ -20,6 +23,9 @@ from estimator.loops.law_fit import (
     p_value,
 )
 from estimator.loops.law_run import LawRun
+from estimator.model import Mechanism
+from estimator.numerics import student_quantile
+from estimator.verdicts import SizeEstimate
 
 BROKEN = 0.1
 """Error as a share of the input beyond which it is not this law that makes the input."""
@@ -41,6 +47,23 @@ class LawCause:
     """Other effects that explain as much"""
     freedom: int = 1
     """Degrees of freedom of the standard deviation"""
+    gain: float = 1.0
+    """Of the loop, mean over runs [N m/rad]"""
+
+    def told(self, mechanism: Mechanism, volts: float
+             ) -> tuple[Effect, FloatArray, FloatArray, tuple[SizeEstimate, ...]]:
+        """The effect, its sizes (k,) in its units, their standard deviations (k,), and the sizes with 95 % intervals.
+
+        `volts` is what a duty of 1 is.
+        """
+        kind = named(self.effect)
+        own = kind.per_joint or (kind.per_motor and len(mechanism.actuated) > 1)
+        effect = placed(kind, self.joint if own else None, mechanism)
+        factor = {"torque_saturation": volts**-2, "missing_integral": self.gain * volts}.get(self.effect, 1.0)
+        size, std = factor * self.size, factor * self.std
+        every = zip(effect.sizes, size, student_quantile(self.freedom) * std)
+        return effect, size, std, tuple(SizeEstimate(s.name, mechanism.unit(s.unit), float(v), (
+            float(v - h), float(v + h))) for s, v, h in every)
 
 
 @dataclass(frozen=True)
@@ -86,7 +109,8 @@ def check_law(runs: Sequence[LawRun], joint: int) -> LawCheck:
         now = best
     if now.share > BROKEN:  # then its faults are not those of the devices either: a torque controller has no such law
         return LawCheck(joint, begin, begin, ())
-    return LawCheck(joint, begin, now, tuple(causes))
+    gain = float(np.mean(now.gains))
+    return LawCheck(joint, begin, now, tuple(replace(cause, gain=gain) for cause in causes))
 
 
 def rivals(best: LawFit, tried: Sequence[LawFit], before: LawFit) -> tuple[str, ...]:

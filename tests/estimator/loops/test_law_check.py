@@ -214,3 +214,14 @@ def test_what_was_there_before_is_no_change() -> None:
     found = with_changed_law(Change("no_change", "No change."), [change], LEG, 1.0)
     (cause,) = found.causes
     assert (found.verdict, cause.effect, cause.kind) == ("named", "torque_delay", "timing")
+
+
+def test_a_diagnosis_and_a_comparison_have_an_integral_in_one_unit() -> None:
+    """Of the gain of 6 N m/rad an integral of 1.5 /s is 9 N m/(rad s)."""
+    zeros = dict.fromkeys(LEG.names, 0.1)
+    leg = Diagnosis("none", "Nothing.", nominal=zeros, nominal_std=zeros)
+    (cause,) = with_law(leg, law_checks(runs(integrating), LEG), LEG, 1.0).causes
+    changes = changed_law(sizes(), runs(integrating, seed=2), LEG)
+    (changed,) = with_changed_law(Change("no_change", "No change."), changes, LEG, 1.0).causes
+    assert cause.effect == changed.effect == "missing_integral" and changed.size[0].unit == cause.size[0].unit
+    assert [cause.size[0].value, changed.size[0].value] == approx([9.0, 9.0], rel=0.1)
