@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil
 
 import numpy as np
@@ -53,12 +54,16 @@ class ErrorTable:
 
     def error(self, model: int, blocks: IndexArray | None = None) -> float:
         """Root mean square of a model's error over all columns, inf where it is no number; 1 is noise alone."""
-        return float(self.errors(model, np.arange(self.values.shape[1]) if blocks is None else blocks))
+        return float(self._whole[model] if blocks is None else self.errors(model, blocks))
 
     def errors(self, model: int, draws: IndexArray) -> FloatArray:
         """(...) the same for each draw of blocks (..., B)."""
-        found = np.sqrt(self.values[model].mean(axis=-1)[draws].mean(axis=-1))
-        return np.where(np.isfinite(found), found, np.inf)
+        return _root(self.values[model].mean(axis=-1)[draws])
+
+    @cached_property
+    def _whole(self) -> FloatArray:
+        """(M,) error of each model over all blocks."""
+        return _root(self.values.mean(axis=-1))
 
     def excess(self, model: int, blocks: IndexArray | None = None) -> float:
         """Mean square beyond noise alone."""
@@ -91,6 +96,12 @@ class ErrorTable:
         """The table on one resampling of its blocks."""
         blocks, whole = self.draws[draw], np.arange(self.values.shape[1])[None]
         return replace(self, values=self.values[:, blocks], runs=self.runs[blocks], draws=whole)
+
+
+def _root(squares: FloatArray) -> FloatArray:
+    """Root of the mean over the last axis; inf where it is no number."""
+    found = np.sqrt(squares.mean(axis=-1))
+    return np.where(np.isfinite(found), found, np.inf)
 
 
 def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.random.Generator,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -77,13 +76,16 @@ class Model:
         """Effects of the leg."""
         return self.effects[: len(self.effects) - self.nuisances]
 
-    @cached_property
+    @property
     def log_marginal(self) -> float:
         """See `likelihood.log_marginal`, under the model's own noise levels; -inf where it has no solution."""
-        try:
-            return log_marginal(self.problem, self.state)
-        except np.linalg.LinAlgError:
-            return -np.inf
+        def found() -> float:
+            try:
+                return log_marginal(self.problem, self.state)
+            except np.linalg.LinAlgError:
+                return -np.inf
+
+        return self.once("log marginal", found)
 
     @property
     def width(self) -> int:

@@ -202,13 +202,17 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
     """The model that `fit` makes of each of the `starts`, on as many processes as the diagnosis has."""
     split, angle_range = context.split, context.nominal.problem.stage.angle_range
 
-    def fitted(k: int) -> State | None:
+    def fitted(k: int) -> tuple[State, float] | None:
         model = fit(k)
-        return None if model is None else model.state
+        return None if model is None else (model.state, model.log_marginal)
 
-    return [None if state is None else
-            Model(split, state, split.problem(split.train, angle_range, [e for e, _ in start]))
-            for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
+    def known(start: Start, state: State, value: float) -> Model:
+        model = Model(split, state, split.problem(split.train, angle_range, [e for e, _ in start]))
+        model.made["log marginal"] = value
+        return model
+
+    return [None if found is None else known(start, *found)
+            for start, found in zip(starts, parallel_map(fitted, len(starts), split.workers))]
 
 
 def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) -> Model | None:

@@ -67,7 +67,8 @@ class ScoreTests:
         """Sizes of these columns for their `score`, without combinations that the data hardly show."""
         information = self.information[np.ix_(columns, columns)]
         scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
-        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        relative = information / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(relative) if len(columns) > 1 else (relative[0], np.ones((1, 1)))
         good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
         return np.asarray((vectors[:, good] / values[good]) @ (vectors[:, good].T @ (score / scale)) / scale)
 

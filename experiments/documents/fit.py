@@ -272,7 +272,7 @@ def _next(result: FitResult) -> Next | None:
     return None if advice is None else Next(
         name=advice.name, value=known(advice.value), std=known(advice.std), share=known(advice.share),
         widths={name: known(width) for name, width in advice.widths.items()}, undetermined=advice.undetermined,
-        text=measure_sentence(result))
+        text=measure_sentence(result, advice))
 
 
 def _residuals(result: FitResult) -> tuple[Residual, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator import FitResult
 from estimator.effects import classes
-from estimator.fitting import CALIBRATED, Measurement, body_unit, next_measurement
+from estimator.fitting import CALIBRATED, Measurement, body_unit
 
 CALIBRATIONS = {"torque_gain": "legid calibrate shunt --weight", "imu_lever_arm": "a ruler"}
 """Source of the budget -> how to calibrate it, where its effect does not say."""
@@ -12,11 +12,8 @@ HOW = {"l": "with a ruler, joint to joint", "m": "on a scale", "lc": "by balanci
        "I": "by swinging the link as a pendulum"}
 
 
-def measure_sentence(result: FitResult) -> str:
-    """The next value to measure, its benefit, and what to write; empty where none is worth it."""
-    found = next_measurement(result)
-    if found is None:
-        return ""
+def measure_sentence(result: FitResult, found: Measurement) -> str:
+    """The next value to measure, its benefit, and what to write."""
     if found.source:
         return _calibrate(result, found)
     name, unit = found.name, _unit(result, found.name)

@@ -71,7 +71,7 @@ def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = No
             stated = bare if terms.encoder_zero is None else rig
             known = setup_of(datasets, with_choices(stated, [*chosen, *zeros]), sensors, fixed)
             chosen += _extra_terms(known, rig)  # which other zeros in every run would hide
-            if terms.encoder_zero is None and not zeros:
+            if terms.encoder_zero is None and chosen and not zeros:
                 zeros = _zeros(setup_of(datasets, with_choices(bare, chosen), sensors, fixed))
             chosen += zeros
     except (*FIT_ERRORS, ValueError):  # too short or too still to ask; the fit itself says so
