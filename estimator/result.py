@@ -208,7 +208,7 @@ class Budget:
     parts: tuple[BudgetPart, ...]
     """Their covariances add up to that of the fit."""
     moved: FloatArray
-    """(p,) by how much the estimate was moved, half way to that with the likeliest faults within the tolerances"""
+    """(p,) by how much the estimate was moved, to that with the likeliest faults of readings within their tolerances"""
     enlarged: Mapping[str, float] = field(default_factory=dict)
     """Group of tolerances -> factor by which the runs have enlarged it."""
 

@@ -24,11 +24,11 @@ def with_law(found: Diagnosis, checks: Sequence[LawCheck], mechanism: Mechanism,
     """
     found = replace(found, warnings=(*found.warnings, *map(_broken, [c for c in checks if c.broken])))
     shown = [(check, cause) for check in checks for cause in check.causes]
-    if not shown or found.verdict == "fit_failed":
-        return replace(found, warnings=(*found.warnings, *(_told(_cause(*one, mechanism, volts), one[1])
-                                                           for one in shown)))
     causes = [_cause(check, cause, mechanism, volts) for check, cause in shown]
-    words = "; ".join(_told(one, cause) for one, (_, cause) in zip(causes, shown))
+    said = [_told(one, cause) for one, (_, cause) in zip(causes, shown)]
+    if not shown or found.verdict == "fit_failed":
+        return replace(found, warnings=(*found.warnings, *said))
+    words = "; ".join(said)
     unsure = [name for _, cause in shown for name in cause.rivals]
     own = tuple(cause for cause in found.causes if cause.effect not in {one.effect for one in causes})
     alone = found.verdict == "none"

@@ -38,6 +38,6 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> Float
     if found is None:
         return covariance
     wide = np.zeros((free.size, free.size))
-    directions, step = found.marginal.directions, 2.0 * found.step[:width]
+    directions, step = found.marginal.directions, (found.step + found.further)[:width]
     wide[np.ix_(free, free)] = found.marginal.noise + directions.T @ directions
     return np.asarray(covariance + wide[:width, :width] + np.outer(step, step) / 3.0)

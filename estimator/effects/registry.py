@@ -23,7 +23,6 @@ ENTRY_POINT = "legid.effects"
 """Group under which a user's own package names its `Effect` classes."""
 
 
-@cache
 def classes() -> tuple[type[Effect], ...]:
     """Every effect: the library's, then those that installed packages add under the entry point group."""
     from importlib.metadata import entry_points

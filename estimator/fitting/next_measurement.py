@@ -8,7 +8,6 @@ source of the budget, calibrated to `CALIBRATED` of its tolerance, leaves the sq
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -52,12 +51,6 @@ class Measurement:
     def share(self) -> float:
         """Geometric mean of the widths."""
         return float(np.exp(np.mean(np.log(list(self.widths.values())))))
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """For the JSON documents."""
-        return {"name": self.name, "value": self.value, "std": self.std, "widths": self.widths, "share": self.share,
-                "undetermined": list(self.undetermined)}
 
 
 def next_measurement(result: FitResult) -> Measurement | None:

@@ -33,10 +33,10 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     """`result` with all nuisances marginalised, and `scores` of its runs where they have moved to.
 
     `whole` and each of `scores` are over m parameters, of which `known` has the estimated ones (m,) and the information
-    of a prior, and the columns of `nuisances`. The step to the likeliest nuisances is right where the noise is as the
-    model says, and wrong where it is not. The estimate is half way, with a rectangular distribution between both ends
-    (JCGM 100, 4.3.7). Tolerances that the runs contradict are wider in the covariance and not in the step: what is
-    wrong then may not be what they are of.
+    of a prior, and the columns of `nuisances`. The estimate takes the step to the likeliest faults of readings, whose
+    forms are known. Laws that the leg may lack have many forms, which imitate each other and the parameters: the
+    further step to the likeliest of these counts with a rectangular distribution (JCGM 100, 4.3.7). Tolerances that the
+    runs contradict are wider in the covariance and not in the steps: what is wrong then may not be what they are of.
     """
     free = known[0]
     along = np.append(result.beta, np.zeros(free.size - result.beta.size))
@@ -48,7 +48,7 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
     noise = result.covariance.copy()
     noise[np.ix_(inside, inside)] += found.marginal.noise[: inside.size, : inside.size]
     parts = [BudgetPart(NOISE, _root(noise)), *_parts(found.marginal, found.nuisances, p, inside),
-             BudgetPart(STEP, found.step[None, :p] / np.sqrt(3.0))]
+             BudgetPart(STEP, found.further[None, :p] / np.sqrt(3.0))]
     budget = Budget(tuple(part for part in parts if part.directions.any()), found.step[:p], found.factors)
     moved = tuple(Score(one.score - one.information @ found.step, one.information) for one in found.runs)
     return (replace(result, beta=result.beta + found.step[:p], budget=budget,
@@ -64,7 +64,9 @@ class Tolerated(NamedTuple):
     """(k,) with the tolerances that the runs ask for, that of the torque's scale last"""
     factors: Mapping[str, float]
     step: FloatArray
-    """(m + k,) half of the way to the likeliest nuisances"""
+    """(m + k,) to the likeliest faults of readings"""
+    further: FloatArray
+    """(m + k,) from there to the likeliest of all nuisances"""
     runs: Sequence[Score]
     """(R,) over m + k columns"""
 
@@ -85,10 +87,15 @@ def tolerated(scores: Sequence[Score], known: tuple[BoolArray, FloatArray | None
         return None
     plain, robust = discounted(projected(full.score, free, prior), free, [one.score for one in runs], every)
     wide, factors = enlarged(plain, every)
-    likeliest = marginalise(robust, every)
-    step = np.zeros(full.score.score.size)
-    step[np.flatnonzero(free)], step[free.size :] = 0.5 * likeliest.step, 0.5 * likeliest.sizes
-    return Tolerated(marginalise(robust, wide), wide, factors, step, [one.score for one in runs])
+
+    def step(some: Sequence[Nuisance]) -> FloatArray:
+        found, out = marginalise(robust, some), np.zeros(full.score.score.size)
+        out[np.flatnonzero(free)], out[free.size :] = found.step, found.sizes
+        return out
+
+    of_readings = step([one if one.reading else one._replace(tolerance=0.0) for one in every])
+    return Tolerated(marginalise(robust, wide), wide, factors, of_readings, step(every) - of_readings,
+                     [one.score for one in runs])
 
 
 def with_scatter(result: FitResult, covariance: FloatArray) -> FitResult:

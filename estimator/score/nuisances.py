@@ -22,6 +22,7 @@ from estimator.effects import (
     GenericTorque,
     ImuEffect,
     LawEffect,
+    SensorEffect,
     Size,
     VelocityFilter,
     battery,
@@ -61,6 +62,8 @@ class Nuisance(NamedTuple):
     tolerance: float
     size: int = 0
     """Which of its sizes."""
+    reading: bool = False
+    """Whether it is of what a sensor reads, in a form that is known."""
 
 
 def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated: Stated) -> tuple[Candidate, ...]:
@@ -78,7 +81,8 @@ def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated
 def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated: Stated) -> list[Nuisance]:
     """One for each column of `candidates`."""
     reach = torque_reach(problem)
-    return [Nuisance(*_place(one.effect), tolerance, k) for one in candidates
+    return [Nuisance(*_place(one.effect), tolerance, k, isinstance(one.effect, SensorEffect)
+                     and not isinstance(one.effect, GenericReading)) for one in candidates
             for k, tolerance in enumerate(_tolerances(one.effect, stated, reach, problem.mechanism.length_unit == "m"))]
 
 

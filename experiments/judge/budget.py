@@ -9,7 +9,7 @@ PARTS_TOLD = 3
 LEAST_PART = 0.1
 """Least share of the interval of a source that is named."""
 WORDS = {"torque_gain": "torque constant", "scatter": "scatter between runs", "structure": "unnamed structure",
-         "step": "suggested faults", "imu_lever_arm": "lever arm"}
+         "step": "suggested laws", "imu_lever_arm": "lever arm"}
 """Source -> its words, where they are not its name."""
 
 

@@ -129,7 +129,7 @@ def test_a_late_torque_is_found_between_samples(late_s: float) -> None:
 @mark.parametrize("tolerances", [None, default_tolerances()])
 def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(tolerances: dict[str, tuple[float, ...]] | None
                                                                        ) -> None:
-    """One optimum. With tolerances a fit moves half way to the likeliest nuisances, within the intervals of both."""
+    """One optimum. With tolerances a fit moves to the likeliest faults of readings, within the intervals of both."""
     rng = default_rng(6)
     leg = random_leg(rng)
     runs = [replace(run_of(leg, rng, seconds=8, hold="zero", high=8.0), name=f"r{k}") for k in range(4)]
@@ -148,7 +148,7 @@ def test_a_diagnosis_and_a_fit_of_the_same_runs_have_one_nominal_model(tolerance
     if tolerances is None:
         assert wider == approx(1.0, rel=0.01) and moved == approx(0.0, abs=1e-6)
     else:
-        assert np.all((wider > 0.99) & (wider < 2.0)) and 0.2 < np.max(moved) < 1.0
+        assert np.all((wider > 0.99) & (wider < 2.0)) and 0.01 < np.max(moved) < 1.0
 
 
 def test_a_few_steps_end_at_the_likeliest_motion() -> None:
