@@ -292,15 +292,15 @@ class DynamixelDrive(PolledDrive[bytes]):
 
     def _status(self, chunk: bytes, size: int | None = None) -> dxl.Packet | None:
         """The status packet of this drive with so many bytes, where one is complete."""
-        found = None
+        packet = None
         for one in self._decoder.feed(chunk):
             mine = one.ident == self.wiring.node and one.instruction == dxl.Instruction.STATUS
             if mine and (size is None or len(one.params) == size):
-                found = one
+                packet = one
             elif mine:
                 self._unknown += 1
         self._bad = self._decoder.bad + self._stale
-        return found
+        return packet
 
 
 def find_nodes(link: Link[bytes], wiring: Wiring) -> list[int]:

@@ -159,14 +159,14 @@ class FeetechDrive(PolledDrive[bytes]):
 
     def _status(self, chunk: bytes, size: int) -> sts.Packet | None:
         """The packet of this servo with `size` bytes, where one is complete. An adapter's echo has another length."""
-        found = None
+        packet = None
         for one in self._decoder.feed(chunk):
             if one.ident == self.wiring.node and len(one.params) == size:
-                found = one
+                packet = one
             elif one.ident == self.wiring.node:
                 self._unknown += 1
         self._bad = self._decoder.bad
-        return found
+        return packet
 
 
 def find_nodes(link: Link[bytes], wiring: Wiring) -> list[int]:

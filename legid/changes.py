@@ -116,5 +116,5 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
     return frame((columns(rows, "from=0.0.name to=0.1.name") if len(pairs) > 1 else {}) | table)
 
 
-def _html(found: Differing) -> str:
-    return paragraphs(found.headline.told) + tables_html(cause_table(found))
+def _html(differing: Differing) -> str:
+    return paragraphs(differing.headline.told) + tables_html(cause_table(differing))

@@ -48,10 +48,10 @@ class Diagnosis(Judged, DiagnosisDocument, kw_only=True, dict=True):
     def made_from(cls, details: Details, prepared: Prepared, runs: Sequence[Dataset], rig: Rig, origin: Origin
                   ) -> Diagnosis:
         """The diagnosis of `runs`, from the files of `origin`."""
-        found = cls.of(details, prepared.set_aside, prepared.setup.datasets, prepared.setup.settings.model)
-        found.__dict__["made"] = Made(details, prepared, tuple(runs), rig)
-        found.provenance = origin
-        return found
+        diagnosis = cls.of(details, prepared.set_aside, prepared.setup.datasets, prepared.setup.settings.model)
+        diagnosis.__dict__["made"] = Made(details, prepared, tuple(runs), rig)
+        diagnosis.provenance = origin
+        return diagnosis
 
     def _made(self) -> Made:
         made: Made = kept_with(self, "diagnosis", "models and no curves; run legid.diagnose")

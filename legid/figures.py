@@ -92,9 +92,9 @@ def fit_figure(result: FitResult) -> Figure:
     return figure
 
 
-def validation_figure(found: Sequence[Validation]) -> Figure:
+def validation_figure(validations: Sequence[Validation]) -> Figure:
     """Joints down, the first segments across: measured, and simulated from the first state and the torque alone."""
-    shown = found[:MOST_SEGMENTS]
+    shown = validations[:MOST_SEGMENTS]
     joints = shown[0].q.shape[1]
     unit = "m" if "q1_m" in shown[0].rmse else "rad"
     figure, axes = _panels(joints, len(shown))
@@ -110,16 +110,16 @@ def validation_figure(found: Sequence[Validation]) -> Figure:
     return figure
 
 
-def diagnosis_figure(found: Diagnosis) -> Figure:
+def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
     """Free-run errors before, after and by noise alone; below, what each cause leaves of its natural variable."""
-    rows = 1 + len(found.signatures)
+    rows = 1 + len(diagnosis.signatures)
     figure = NotebookFigure(figsize=(7.2, 0.8 + 2.6 * rows), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
-    paint_gains(axes[0], found.sensors)
+    paint_gains(axes[0], diagnosis.sensors)
     axes[0].set_xlabel(ERRORS)
     axes[0].legend(frameon=False)
-    axes[0].set_title(found.verdict)
-    for ax, signature in zip(axes[1:], found.signatures):
+    axes[0].set_title(diagnosis.verdict)
+    for ax, signature in zip(axes[1:], diagnosis.signatures):
         _signature(ax, signature)
     return figure
 
@@ -133,10 +133,10 @@ def plan_figure(plan: Plan) -> Figure:
     return figure
 
 
-def tuning_figure(found: TuningDocument) -> Figure:
+def tuning_figure(document: TuningDocument) -> Figure:
     """Error of runs not fitted, a group of bars a joint: before, and with what was chosen. Raises `WorkError`."""
     trials = [(label, colour, np.array([np.inf if x is None else x for x in rmse])) for label, colour, rmse in
-              (("before", BLUE, found.error_before), ("chosen", ORANGE, found.error_after)) if rmse is not None]
+              (("before", BLUE, document.error_before), ("chosen", ORANGE, document.error_after)) if rmse is not None]
     trials = [one for one in trials if np.isfinite(one[2]).all()]
     if not trials:
         raise WorkError("no set-up that was tried can be simulated; record richer motion")
@@ -149,9 +149,9 @@ def tuning_figure(found: TuningDocument) -> Figure:
     return figure
 
 
-def comparison_figure(found: ComparisonDocument) -> Figure:
+def comparison_figure(document: ComparisonDocument) -> Figure:
     """The error of B over that of A, a row each horizon and sensor, with its 95 % interval; below 1, B is better."""
-    errors = [e for e in found.errors if e.ratio is not None]
+    errors = [e for e in document.errors if e.ratio is not None]
     figure, ax = _axes(0.8 + 0.22 * max(len(errors), 4))
     ratio = np.array([e.ratio for e in errors])
     for k, e in enumerate(errors):
@@ -166,11 +166,11 @@ def comparison_figure(found: ComparisonDocument) -> Figure:
     return figure
 
 
-def change_figure(found: Answer) -> Figure:
+def change_figure(answer: Answer) -> Figure:
     """Estimated change of the likeliest effects over the smallest detectable one. Raises `WorkError`."""
-    some = drawn_changes(found)
+    some = drawn_changes(answer)
     if not some:
-        raise WorkError(found.sentence)
+        raise WorkError(answer.sentence)
     figure, ax = _axes(0.9 + 0.24 * len(some))
     paint_changes(ax, some)
     ax.set_xlabel("change / smallest detectable change")

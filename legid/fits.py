@@ -43,10 +43,10 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
     @classmethod
     def made_from(cls, fitted: Fitted, runs: Sequence[Dataset], origin: Origin) -> FitResult:
         """The result of a fit of `runs`, from the files of `origin`."""
-        found = fitted.as_document(cls)
-        found.__dict__["made"] = Made(fitted, tuple(runs))
-        found.provenance = origin
-        return found
+        result = fitted.as_document(cls)
+        result.__dict__["made"] = Made(fitted, tuple(runs))
+        result.provenance = origin
+        return result
 
     def _made(self) -> Made:
         made: Made = kept_with(self, "fit", "covariance and no motion; run legid.fit")

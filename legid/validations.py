@@ -68,10 +68,10 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
     @classmethod
     def made_from(cls, report: ValidationReport, model: Model, where: str, origin: Origin) -> Validations:
         """Validations of `model`, which `where` names, made from the files of `origin`."""
-        found = report.as_document(cls)
-        found.__dict__["made"] = Measured(report, model, where, segments_as(Validation, report.table))
-        found.provenance = origin
-        return found
+        validations = report.as_document(cls)
+        validations.__dict__["made"] = Measured(report, model, where, segments_as(Validation, report.table))
+        validations.provenance = origin
+        return validations
 
     def _measured(self) -> Measured:
         made: Measured = kept_with(self, "validation", "motion; run legid.validate")

@@ -170,9 +170,9 @@ def find_jumps(x: FloatArray, apart: BoolArray, period_s: float) -> Jumps:
     `apart` (n - 1,): pairs with a pause in between, which may jump. The rates on both sides of a jump go on as if it
     was not there, or it takes more than the acceleration that any joint has.
     """
-    found = Jumps([], [], [])
+    jumps = Jumps([], [], [])
     if x.size < 10:
-        return found
+        return jumps
     steps, scale = np.where(apart, 0.0, np.diff(x)), scale_of(x)
     least = max(FASTEST * scale.fast, CHANGES * max(scale.change, scale.resolution), SMALLEST * scale.resolution)
     suspects = np.flatnonzero(np.abs(np.diff(steps, prepend=0.0)) > 0.5 * least) + 1
@@ -191,18 +191,18 @@ def find_jumps(x: FloatArray, apart: BoolArray, period_s: float) -> Jumps:
         for stop in suspects[(suspects > first) & (suspects <= min(first + LONGEST_ISOLATED, x.size - 2))].tolist():
             off = _off(x, first, stop, least)
             if off and (moves_on(first, stop) or too_fast(off)):
-                found.isolated.append((first, stop))
+                jumps.isolated.append((first, stop))
                 good = stop + 1
                 break
         else:
             size = _step(x, first, least)
             start, stop = _held(x, first, -1), _held(x, first, 1)
             if size and start < stop and moves_on(start, stop):
-                found.frozen.extend((a, b) for a, b in ((start, first), (first, stop)) if a < b)
+                jumps.frozen.extend((a, b) for a, b in ((start, first), (first, stop)) if a < b)
                 good = stop
             elif size and (moves_on(first, first) or too_fast(size)):
-                found.steps.append((first, size))
-    return found
+                jumps.steps.append((first, size))
+    return jumps
 
 
 def _off(x: FloatArray, first: int, stop: int, least: float) -> float:

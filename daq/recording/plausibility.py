@@ -332,9 +332,9 @@ class Plausibility:
 
     def suspects(self, now_ns: int) -> SuspectTimes:
         """Time for which each check has failed."""
-        found = SuspectTimes(self._progress.age_s(now_ns), self._echo.wrong.lasted_s, self._torque.wrong.lasted_s,
+        times = SuspectTimes(self._progress.age_s(now_ns), self._echo.wrong.lasted_s, self._torque.wrong.lasted_s,
                        self._encoder.wrong.lasted_s)
         if self._imu is None:
-            return found
-        return found._replace(imu_stuck_s=self._imu.stuck_s, imu_rail_s=self._imu.rail_s,
+            return times
+        return times._replace(imu_stuck_s=self._imu.stuck_s, imu_rail_s=self._imu.rail_s,
                               pivot_s=self._pivot.wrong.lasted_s)

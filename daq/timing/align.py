@@ -294,13 +294,13 @@ def _imu_settings(raw: RawRun) -> Imu | None:
     if "stamped" not in facts:
         return None
     try:
-        found = msgspec.convert({"odr_hz": facts.get("rate_hz"), "cutoff_hz": facts.get("cutoff_hz"),
+        imu = msgspec.convert({"odr_hz": facts.get("rate_hz"), "cutoff_hz": facts.get("cutoff_hz"),
                                  "stamped": facts["stamped"]}, Imu)
     except msgspec.ValidationError as error:
         raise unusable(raw, f"has settings of its IMU that cannot be: {error}") from None
-    if found.lack is not None:
-        raise unusable(raw, found.lack[0])
-    return found
+    if imu.lack is not None:
+        raise unusable(raw, imu.lack[0])
+    return imu
 
 
 def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> TimedColumns:

@@ -35,15 +35,15 @@ def flag_run(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[Flag]:
     if samples.size < 2 or not facts.get("rate_hz"):
         return []
     raw_counts = np.column_stack([samples[f"{kind}_{axis}"] for kind in ("gyro", "accel") for axis in "xyz"])
-    found = _rate(samples, facts["rate_hz"]) + _unmarked(samples, facts["rate_hz"]) + _repeated(raw_counts)
+    flags = _rate(samples, facts["rate_hz"]) + _unmarked(samples, facts["rate_hz"]) + _repeated(raw_counts)
     counts = raw_counts[:, 3:].astype(float)
     time_s = (samples["drain_after_ns"] - samples["drain_after_ns"][0]) * 1e-9
     c = rig.calibration
     accel = (counts * facts["accel_mps2_per_lsb"] - np.array(c.accel_bias_mps2)) @ np.array(c.accel_matrix).T
     size, g = float(np.linalg.norm(accel[time_s < REST_S], axis=1).mean()), rig.mechanism.gravity_mps2
     if abs(size - g) > GRAVITY_TOLERANCE * g:
-        found.append(Flag("gravity", f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}"))
-    return found
+        flags.append(Flag("gravity", f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}"))
+    return flags
 
 
 def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:
@@ -60,16 +60,16 @@ def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:
             lost += max(nominal_hz * span - counted, 0.0)
         else:
             rates.append((counted / span, RATE_TOLERANCE * nominal_hz + 2.0 / span))
-    found: list[Flag] = []
+    flags: list[Flag] = []
     wrong = [rate for rate, allowed in rates if abs(rate - nominal_hz) > allowed]
     if wrong:
         worst = max(wrong, key=lambda rate: abs(rate - nominal_hz))
-        found.append(Flag("imu_rate", f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} "
+        flags.append(Flag("imu_rate", f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} "
                            f"seconds, {nominal_hz:g} were set: another program may have read it"))
     if lost > MISSING_SHARE * samples.size:
-        found.append(Flag("imu_missing", f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
+        flags.append(Flag("imu_missing", f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
                            f"{int(samples['gap_before'].sum())} gaps"))
-    return found
+    return flags
 
 
 def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:

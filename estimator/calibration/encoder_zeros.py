@@ -145,12 +145,12 @@ def _left(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions
     return np.asarray(after / np.maximum(before, 1e-300))
 
 
-def differing_text(found: Differing, unit: str = "rad") -> str:
+def differing_text(differing: Differing, unit: str = "rad") -> str:
     """One sentence: what differs, how sure that is, what to declare; `unit` is the joints'."""
     joints = ", ".join(f"joint {j + 1} by {spread:.2g} {unit} (p = {p:.1g})"
-                       for j, spread, p in zip(found.joints, found.spread, found.p_value))
-    shares = " and ".join(f"{100 * share:.0f} %" for share in found.left)
-    declared = ", ".join(str(j + 1) for j in found.joints)
+                       for j, spread, p in zip(differing.joints, differing.spread, differing.p_value))
+    shares = " and ".join(f"{100 * share:.0f} %" for share in differing.left)
+    declared = ", ".join(str(j + 1) for j in differing.joints)
     return (f"the encoders' zeros differ from run to run, {joints} by the two halves of each run; without them least "
             f"squares leaves {shares} of the torque that it leaves with them: declare encoder_zero = [{declared}] "
             "under [terms], and what else is missing shows better")

@@ -74,12 +74,12 @@ def difference(a: Score, b: Score, structure: Structure) -> Contrast:
     return _without_common(half, 0.5 * (b.information - a.information), total([a, b]), structure)
 
 
-def _without_common(own: Score, mixed: FloatArray, common: Score, structure: Structure) -> Contrast:
-    """`own` and the common level with u integrated out; `mixed` (m, m) is the information between delta and theta."""
+def _without_common(score: Score, mixed: FloatArray, common: Score, structure: Structure) -> Contrast:
+    """`score` and the common level with u integrated out; `mixed` (m, m) is the information between delta and theta."""
     prior = structure.precision
     inverse = _inverse(common.information + np.diag(prior))
     carry, level = mixed @ inverse, prior[:, None] * inverse
-    return Contrast(Score(own.score - carry @ common.score, _symmetric(own.information - carry @ mixed.T)),
+    return Contrast(Score(score.score - carry @ common.score, _symmetric(score.information - carry @ mixed.T)),
                     Score(level @ common.score, _symmetric(np.diag(prior) - level * prior)), carry * prior)
 
 

@@ -38,18 +38,18 @@ class Group:
     def key(self) -> tuple[str, int | None]:
         return self.effect, self.joint
 
-    def fit(self, own: Score) -> tuple[FloatArray, float]:
+    def fit(self, score: Score) -> tuple[FloatArray, float]:
         """(k,) likeliest sizes, and the fall of -2 log likelihood, by score and information of the sizes."""
         if self.body:
-            size, gain = fit_body(own)
+            size, gain = fit_body(score)
         else:
-            size = own.size()
-            gain = float(size @ own.score)
+            size = score.size()
+            gain = float(size @ score.score)
         return size, max(gain, 0.0)
 
-    def covariance(self, own: Score, whole: Contrast) -> FloatArray:
-        """(k, k) of the sizes, uncertain lengths included; `whole` is the contrast that `own` is of."""
-        found, size = own.covariance(), whole.along(self.basis).size()
+    def covariance(self, score: Score, whole: Contrast) -> FloatArray:
+        """(k, k) of the sizes, uncertain lengths included; `whole` is the contrast that `score` is of."""
+        found, size = score.covariance(), whole.along(self.basis).size()
         for moved in () if self.lengths is None else self.lengths:
             shift = whole.along(self.basis + moved).size() - size
             found = found + np.outer(shift, shift)

@@ -58,17 +58,17 @@ def body_basis(mechanism: Mechanism, link: int, lengths: Mapping[int, float]) ->
     return basis
 
 
-def fit_body(own: Score) -> tuple[FloatArray, float]:
+def fit_body(score: Score) -> tuple[FloatArray, float]:
     """(3,) likeliest sizes of a body that was added or taken away, and the fall of -2 log likelihood.
 
     The Cholesky factor of [[m, h], [h, J]] makes it a body of real mass. Where the runs do not determine all three
     sizes, nothing holds them."""
     from scipy.optimize import minimize
 
-    free = own.size()
-    if np.linalg.eigvalsh(own.correlation)[0] < HIDDEN or (free[0] * free[2] >= free[1] ** 2 and free[0] != 0.0):
-        return free, own.gain()
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(own.information), 1e-300))
+    free = score.size()
+    if np.linalg.eigvalsh(score.correlation)[0] < HIDDEN or (free[0] * free[2] >= free[1] ** 2 and free[0] != 0.0):
+        return free, score.gain()
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(score.information), 1e-300))
     unit = np.array([scale[0], np.sqrt(scale[0] * scale[2]), scale[2]])
     best, most = np.zeros(3), 0.0
     for sign, turn in product((1.0, -1.0), repeat=2):
@@ -78,7 +78,7 @@ def fit_body(own: Score) -> tuple[FloatArray, float]:
 
         def misfit(x: FloatArray) -> float:
             size = sizes(x)
-            return float(size @ own.information @ size - 2.0 * size @ own.score)
+            return float(size @ score.information @ size - 2.0 * size @ score.score)
 
         root = np.sqrt(np.abs(free / unit) + 1e-3)
         found = minimize(misfit, [root[0], turn * root[1], root[2]], method="BFGS")

@@ -119,21 +119,21 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 
-def with_errors(found: Change, rise: Callable[[], LevelChange | None], words: Words) -> Change:
-    """`found`, a verdict `no_change`, with its `rise`, unless free runs err more by it than those left out; with a
+def with_errors(change: Change, rise: Callable[[], LevelChange | None], words: Words) -> Change:
+    """`change`, a verdict `no_change`, with its `rise`, unless free runs err more by it than those left out; with a
     warning where that cannot be asked."""
     try:
         larger = rise()
     except FIT_ERRORS as error:
-        return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, str(error)))))
+        return replace(change, warnings=tuple(dict.fromkeys((*change.warnings, str(error)))))
     if larger is None:
-        return found
-    if found.free_runs is None or larger.p_value < found.free_runs.p_value:
-        found = replace(found, free_runs=larger)
-    if larger.p_value >= ALPHA or found.verdict != "no_change":
-        return found
+        return change
+    if change.free_runs is None or larger.p_value < change.free_runs.p_value:
+        change = replace(change, free_runs=larger)
+    if larger.p_value >= ALPHA or change.verdict != "no_change":
+        return change
     low, high = larger.ci95
-    return replace(found, verdict="changed_unexplained", sentence=(
+    return replace(change, verdict="changed_unexplained", sentence=(
         f"{words.something}, and no listed cause explains it: free runs err {larger.ratio:.2g} times [{low:.2g}, "
         f"{high:.2g}] as much in {larger.column} as those of left-out runs of the other session."))
 
@@ -226,9 +226,9 @@ def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -
         yield SizeEstimate(name, "m", float(values[above] / values[below]), found)
 
 
-def _noise_cause(one: LevelChange) -> ChangedCause:
-    size = SizeEstimate(one.column, "times", one.ratio, one.ci95)
-    return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
+def _noise_cause(change: LevelChange) -> ChangedCause:
+    size = SizeEstimate(change.column, "times", change.ratio, change.ci95)
+    return ChangedCause("noise", "noise", None, f"the noise of {change.column} changed", (size,), change.p_value)
 
 
 def _detectable(scored: Scored) -> tuple[Detectable, ...]:
@@ -243,18 +243,18 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
         first = group.basis[:, :1]
         own = scored.contrast.measured(first, first[:, :0])
         change, half = float(own.size()[0]), float(stdtrit(scored.freedom, 0.975)) * _std(own)
-        one = Detectable(group.effect, group.joint, group.names[0], group.units[0],
+        detectable = Detectable(group.effect, group.joint, group.names[0], group.units[0],
                          wanted * _std(scored.contrast.along(first)), change, (change - half, change + half),
                          scored.p_value(k))
         key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
-        if key not in found or one.p_value < found[key].p_value:
-            found[key] = one
+        if key not in found or detectable.p_value < found[key].p_value:
+            found[key] = detectable
     return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
 
 
-def _std(own: Score) -> float:
+def _std(score: Score) -> float:
     """Standard deviation of one size; infinite where the runs do not determine it."""
-    known = float(own.information[0, 0])
+    known = float(score.information[0, 0])
     return known**-0.5 if known > 0.0 else float("inf")
 
 

@@ -68,9 +68,9 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
 
 
-def undecided(found: Diagnosis, why: str) -> Diagnosis:
+def undecided(diagnosis: Diagnosis, why: str) -> Diagnosis:
     """Verdict `unexplained` where no error could be measured."""
-    return replace(found, verdict="unexplained", sentence=f"The model is wrong, and no listed effect explains the "
+    return replace(diagnosis, verdict="unexplained", sentence=f"The model is wrong, and no listed effect explains the "
                    f"error: {why}.", next_experiment=NEXT_UNEXPLAINED)
 
 
@@ -153,8 +153,8 @@ def counted_as_noise(joint: int) -> str:
     return f"at joint {joint}; it does not depend on the state and counts as noise"
 
 
-def with_blind_sensors(found: Diagnosis, table: ErrorTable) -> Diagnosis:
-    """`found` with a warning for each sensor of whose variance noise alone leaves more than SUFFICES in free runs.
+def with_blind_sensors(diagnosis: Diagnosis, table: ErrorTable) -> Diagnosis:
+    """`diagnosis` with a warning for each sensor of whose variance noise alone leaves more than SUFFICES in free runs.
 
     It names the shortest horizon. "Nothing found" is then no promise: an error as large as the motion does not show.
     """
@@ -164,7 +164,7 @@ def with_blind_sensors(found: Diagnosis, table: ErrorTable) -> Diagnosis:
             over = f"{horizon_s:g} s" if np.isfinite(horizon_s) else "whole runs"
             share = f"noise alone makes {100.0 * floor / variance:.0f} % of the variance of {sensor}"
             told.setdefault(sensor, f"{share} in free runs over {over}: an error of the simulation does not show there")
-    return replace(found, warnings=(*found.warnings, *told.values()))
+    return replace(diagnosis, warnings=(*diagnosis.warnings, *told.values()))
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -191,9 +191,9 @@ def remainder_of(model: Model) -> Remainder | None:
     return None
 
 
-def nothing(found: Diagnosis, immaterial: tuple[Cause, ...] = ()) -> Diagnosis:
+def nothing(diagnosis: Diagnosis, immaterial: tuple[Cause, ...] = ()) -> Diagnosis:
     """Verdict `none`; `immaterial` are there, but hardly change the simulation."""
-    best = found.candidates[0] if found.candidates else None
+    best = diagnosis.candidates[0] if diagnosis.candidates else None
     sentence = "These runs show no error beyond noise"
     if best is not None:
         sentence += (f". The nearest effect, {label(best.effect, best.joint)}, is not significant (p = "
@@ -207,49 +207,49 @@ def nothing(found: Diagnosis, immaterial: tuple[Cause, ...] = ()) -> Diagnosis:
         verb = ("is present, but does not surely reduce" if len(immaterial) == 1 else
                 "are present, but not each of them surely reduces")
         sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} the free-run rms error by "
-                    f"{100 * found.material:.0f} %")
-    if found.unmeasured:
+                    f"{100 * diagnosis.material:.0f} %")
+    if diagnosis.unmeasured:
         sentence += (". Noise includes an unmeasured torque of "
-                     + " and ".join(f"{level} (rms) at joint {j}" for j, level in found.unmeasured.items()))
+                     + " and ".join(f"{level} (rms) at joint {j}" for j, level in diagnosis.unmeasured.items()))
     called = "None is needed"
-    if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
-        before, after = found.error
-        lower = bool(immaterial) and after < before * (1.0 - found.material)
+    if diagnosis.error is not None and diagnosis.error[0] > 1.0 / (1.0 - diagnosis.material):
+        before, after = diagnosis.error
+        lower = bool(immaterial) and after < before * (1.0 - diagnosis.material)
         why = ("No tried effect reduces it: the cause is a correlated disturbance, or resembles none of the terms tried"
                if not lower else
                f"It is {after:.1f} times with the effects that are present but not material")
-        if found.remainder is not None:
-            why = (f"Generic terms reduce it{_where(found)}. Up to {EDGE:g} times noise an error is not called "
+        if diagnosis.remainder is not None:
+            why = (f"Generic terms reduce it{_where(diagnosis)}. Up to {EDGE:g} times noise an error is not called "
                    "unexplained")
-        found = replace(found, warnings=(*found.warnings, (
+        diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, (
             f"the free-run error is {before:.1f} times that of noise alone. {why}")))
         called = "None is needed if that error is acceptable"
-    return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
+    return replace(diagnosis, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment=f"{called}. To look for smaller effects, record more runs like these: the smallest "
                    "detectable sizes fall with the square root of their number.")
 
 
-def tolerated(found: Diagnosis, causes: tuple[Cause, ...]) -> Diagnosis:
+def tolerated(diagnosis: Diagnosis, causes: tuple[Cause, ...]) -> Diagnosis:
     """Verdict `none` where what is there and changes the simulation is within the tolerances of the rig."""
     told = "; ".join(f"{label(c.effect, c.joint)}, {sizes_text(c)}" for c in causes)
-    before, after = found.error or (np.nan, np.nan)
-    return replace(found, verdict="none", immaterial=causes, sentence=(
+    before, after = diagnosis.error or (np.nan, np.nan)
+    return replace(diagnosis, verdict="none", immaterial=causes, sentence=(
         f"No fault beyond the tolerances of the rig. Within them, {told} explains the error: {before:.2g} times that "
         f"of noise alone, {after:.2g} with it."), next_experiment="None is needed if that is acceptable. To have the "
         "simulation right, calibrate it, or state its size in the rig file.")
 
 
-def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
+def unexplained(diagnosis: Diagnosis, nominal: Model, best: Explanation | None, why: str,
                 rng: np.random.Generator, noise: FloorNoise, p_value: float = 1.0) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept with its p-value, but not named as a finding."""
     sentence = f"The model is wrong, and no listed effect explains the error: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
-        causes = tuple(causes_of(best, p_value, found))
-        found = with_gain(found, nominal, best, noise, rng)
+        causes = tuple(causes_of(best, p_value, diagnosis))
+        diagnosis = with_gain(diagnosis, nominal, best, noise, rng)
         sentence = (f"The model is wrong, and no listed effect explains the error. The closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
-    return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
+    return replace(diagnosis, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
                    next_experiment=NEXT_UNEXPLAINED)
 
 
@@ -288,26 +288,26 @@ def _told(cause: Cause) -> str:
     return f"{cause.sentence}: {label(cause.effect, cause.joint)}, {sizes_text(cause)}"
 
 
-def _where(found: Diagnosis) -> str:
+def _where(diagnosis: Diagnosis) -> str:
     """Place of the remainder, in words."""
-    left = found.remainder
+    left = diagnosis.remainder
     return "" if left is None else f": it is in {left.channel}, as a function of {left.depends_on}"
 
 
-def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
+def with_gain(diagnosis: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
               rng: np.random.Generator) -> Diagnosis:
-    """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
+    """`diagnosis` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
     model = best.model
-    found = replace(with_model(found, best), signatures=tuple(
+    diagnosis = replace(with_model(diagnosis, best), signatures=tuple(
         s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
         gain = measure_gain(model, smoothed_tests(nominal, model), rng, noise)
     except FitError as error:
-        return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
+        return replace(diagnosis, warnings=(*diagnosis.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
-        unsure = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
-        found = replace(found, warnings=(*found.warnings, *unsure))
-    return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
+        unsure = () if diagnosis.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
+        diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, *unsure))
+    return replace(diagnosis, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 
 
@@ -321,7 +321,7 @@ def with_model(found: Diagnosis, best: Explanation) -> Diagnosis:
         extended_covariance=covariance)
 
 
-def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> list[Cause]:
+def causes_of(explanation: Explanation, p_value: float, diagnosis: Diagnosis) -> list[Cause]:
     """Sizes with their 95 % intervals.
 
     Without sizes that these runs do not determine, and without shapes that were held or are at a limit of their range.
@@ -329,7 +329,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
     model = explanation.model
     unit = model.problem.mechanism.unit
     half = explanation.half_widths
-    keys, cosines = found.separability
+    keys, cosines = diagnosis.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]

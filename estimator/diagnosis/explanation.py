@@ -74,12 +74,12 @@ class Explanation:
             np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])})
 
 
-def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
+def seated(explanations: Sequence[Explanation], most: int) -> list[Explanation]:
     """The first `most` of explanations, the likeliest first; the last place is for the one that simulates best.
 
     What is likeliest can be a sensor's small fault, which every sample shows and no simulation feels.
     """
-    first, best = list(found[:most]), simulates_best(found)
+    first, best = list(explanations[:most]), simulates_best(explanations)
     return first if best is None or any(best is e for e in first) else [*first[: most - 1], best]
 
 
@@ -106,9 +106,9 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
 
 
-def simulates_best(found: Sequence[Explanation]) -> Explanation | None:
+def simulates_best(explanations: Sequence[Explanation]) -> Explanation | None:
     """The one with the least error of free runs, of those without a shape at a limit where it is another thing."""
-    answers = [e for e in found if not any(effect.strict and effect.at_limits(size).any()
+    answers = [e for e in explanations if not any(effect.strict and effect.at_limits(size).any()
                                            for effect, size in zip(e.model.effects, e.model.sizes()))]
     return min(answers, key=lambda e: e.error, default=None)
 
@@ -189,14 +189,14 @@ def is_close(other: Explanation, most: Explanation) -> bool:
                 or np.maximum(-worse, 0.0).sum() > (1.0 - SURE) * np.abs(worse).sum())
 
 
-def both_leave(one: Explanation, other: Explanation) -> bool:
+def both_leave(explanation: Explanation, other: Explanation) -> bool:
     """Whether both leave something detectable that is worth more than the difference between them.
 
     What neither explains then decides which is the likelier: effects of one group, which only their
     `Effect.distinguishing_size` tells apart, are not told apart by it.
     """
-    left = min(one.further.max(initial=0.0), other.further.max(initial=0.0))
-    return one.has_residual and other.has_residual and abs(one.gain - other.gain) <= left
+    left = min(explanation.further.max(initial=0.0), other.further.max(initial=0.0))
+    return explanation.has_residual and other.has_residual and abs(explanation.gain - other.gain) <= left
 
 
 def margin(other: Explanation, most: Explanation) -> float:
@@ -211,11 +211,11 @@ def margin(other: Explanation, most: Explanation) -> float:
     return float(imitated.max(initial=0.0))
 
 
-def equivalent(one: Explanation, other: Explanation) -> bool:
+def equivalent(explanation: Explanation, other: Explanation) -> bool:
     """Whether two explanations differ by effects of one group only."""
-    keys = {e.key for e in one.model.effects} & {e.key for e in other.model.effects}
+    keys = {e.key for e in explanation.model.effects} & {e.key for e in other.model.effects}
     first, second = (sorted(e.equivalence_class or e.key for e in o.model.effects if e.key not in keys)
-                     for o in (one, other))
+                     for o in (explanation, other))
     return first == second
 
 

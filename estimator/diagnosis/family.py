@@ -70,10 +70,10 @@ class _Rows:
         return len(self.models) - 1
 
 
-def family_of(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None) -> FittedFamily:
-    """The family of the explanations `found`, by the train runs alone."""
+def family_of(context: DiagnosisContext, explanations: Sequence[Explanation], generic: Model | None) -> FittedFamily:
+    """The family of the explanations `explanations`, by the train runs alone."""
     rows, largest = _Rows(context.nominal), generic
-    shortlist = by_error(shortlisted(found))
+    shortlist = by_error(shortlisted(explanations))
     family = Family(rows.of(generic), closest=shortlist[0] if shortlist else None, dominated=context.noise_dominated)
     if any(map(admissible, shortlist)):
         floor = floor_of_best(context, shortlist)

@@ -17,27 +17,27 @@ from estimator.model import Mechanism
 from estimator.verdicts import Verdict
 
 
-def with_law(found: Diagnosis, checks: Sequence[LawCheck], mechanism: Mechanism, volts: float) -> Diagnosis:
-    """`found`, which is of runs corrected for the faults in `checks`, with these faults as causes.
+def with_law(diagnosis: Diagnosis, checks: Sequence[LawCheck], mechanism: Mechanism, volts: float) -> Diagnosis:
+    """`diagnosis`, which is of runs corrected for the faults in `checks`, with these faults as causes.
 
     `volts` is what a duty of 1 is, of a mechanism on voltage.
     """
-    found = replace(found, warnings=(*found.warnings, *map(_broken, [c for c in checks if c.broken])))
+    diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, *map(_broken, [c for c in checks if c.broken])))
     shown = [(check, cause) for check in checks for cause in check.causes]
     causes = [_cause(check, cause, mechanism, volts) for check, cause in shown]
     said = [_told(one, cause) for one, (_, cause) in zip(causes, shown)]
-    if not shown or found.verdict == "fit_failed":
-        return replace(found, warnings=(*found.warnings, *said))
+    if not shown or diagnosis.verdict == "fit_failed":
+        return replace(diagnosis, warnings=(*diagnosis.warnings, *said))
     words = "; ".join(said)
     unsure = [name for _, cause in shown for name in cause.rivals]
-    own = tuple(cause for cause in found.causes if cause.effect not in {one.effect for one in causes})
-    alone = found.verdict == "none"
-    sentence = f"{words[0].upper()}{words[1:]}." + ("" if alone else f" Of the leg: {found.sentence}")
+    own = tuple(cause for cause in diagnosis.causes if cause.effect not in {one.effect for one in causes})
+    alone = diagnosis.verdict == "none"
+    sentence = f"{words[0].upper()}{words[1:]}." + ("" if alone else f" Of the leg: {diagnosis.sentence}")
     if alone and unsure:
         also = tuple(replace(causes[0], effect=name, size=(), sentence=named(name).sentence) for name in unsure)
-        return replace(found, verdict="one_of", sentence=sentence, causes=(*causes, *also))
-    verdict: Verdict = "named" if found.verdict in ("none", "named") else "partial"
-    return _extended(replace(found, verdict=verdict, sentence=sentence, causes=(*causes, *own)),
+        return replace(diagnosis, verdict="one_of", sentence=sentence, causes=(*causes, *also))
+    verdict: Verdict = "named" if diagnosis.verdict in ("none", "named") else "partial"
+    return _extended(replace(diagnosis, verdict=verdict, sentence=sentence, causes=(*causes, *own)),
                      [cause for _, cause in shown], mechanism, volts)
 
 
@@ -58,17 +58,17 @@ def _broken(check: LawCheck) -> str:
             f"{100.0 * check.after.share:.2g} % of the input, and no listed fault explains it")
 
 
-def _extended(found: Diagnosis, shown: Sequence[LawCause], mechanism: Mechanism, volts: float) -> Diagnosis:
+def _extended(diagnosis: Diagnosis, shown: Sequence[LawCause], mechanism: Mechanism, volts: float) -> Diagnosis:
     """With the faults in its extension, which simulates the readings as they are."""
-    effects: list[tuple[Effect, FloatArray]] = list(found.effects)
-    beta, covariance = found.extended_beta, found.extended_covariance
+    effects: list[tuple[Effect, FloatArray]] = list(diagnosis.effects)
+    beta, covariance = diagnosis.extended_beta, diagnosis.extended_covariance
     if not effects:
-        beta = np.array([found.nominal[name] for name in mechanism.names])
-        covariance = np.diag([found.nominal_std[name] ** 2 for name in mechanism.names])
+        beta = np.array([diagnosis.nominal[name] for name in mechanism.names])
+        covariance = np.diag([diagnosis.nominal_std[name] ** 2 for name in mechanism.names])
     for cause in shown:
         effect, size, std, _ = cause.told(mechanism, volts)
         effects.append((effect, size))
         beta, covariance = np.append(beta, size), block_diag(covariance[: len(beta), : len(beta)], np.diag(std**2))
-    extended = found.extended or dict(found.nominal)
-    return replace(found, effects=tuple(effects), extended_beta=beta, extended_covariance=covariance,
-                   extended=extended, extended_std=found.extended_std or dict(found.nominal_std))
+    extended = diagnosis.extended or dict(diagnosis.nominal)
+    return replace(diagnosis, effects=tuple(effects), extended_beta=beta, extended_covariance=covariance,
+                   extended=extended, extended_std=diagnosis.extended_std or dict(diagnosis.nominal_std))

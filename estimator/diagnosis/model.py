@@ -151,8 +151,8 @@ def nominal_model(split: RunSplit, near: State | None = None) -> Model:
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    found = Model(split, state, split.problem(split.train, angle_range))
-    return replace(found, split=split.with_stiction(stiction_of_test(found)))
+    model = Model(split, state, split.problem(split.train, angle_range))
+    return replace(model, split=split.with_stiction(stiction_of_test(model)))
 
 
 def nearby(model: Model) -> State:

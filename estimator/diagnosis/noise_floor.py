@@ -54,20 +54,20 @@ def _coloured(model: Model) -> FloorNoise:
     return FloorNoise(found.put(state.noise), rest, repeated)
 
 
-def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> FloatArray:
+def _repeated(model: Model, whole: MarginalLikelihood, disturbance: Disturbance) -> FloatArray:
     """(n,) share of each joint's disturbance that is a function of the state, or of how fast its torque changes, and
     repeats from run to run: a listed effect, or structure, is no noise."""
     problem, x = model.problem, model.state.x
-    e = whole.smoothed(found)
+    e = whole.smoothed(disturbance)
     lengths = np.diff(problem.ends, prepend=0)
     run = np.repeat(problem.stage.run, lengths)
     time = (np.arange(problem.total) - np.repeat(problem.ends - lengths, lengths)) * problem.dt
     torques = driven_columns(problem.torque[:, list(problem.mechanism.actuated)], problem.ends)
     columns, which = state_columns(x.q, x.v, np.column_stack([torques, time]), problem.ends), taken(problem.total)
-    return repeated_share(np.where(found.level > 0.0, e[which], 0.0), columns, run[which])
+    return repeated_share(np.where(disturbance.level > 0.0, e[which], 0.0), columns, run[which])
 
 
-def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> tuple[FloatArray, MarginalLikelihood]:
+def _share_near_rest(likelihood: MarginalLikelihood, disturbance: Disturbance) -> tuple[FloatArray, MarginalLikelihood]:
     """(n,) of SHARES the likeliest, joint after joint; and the likelihood that has them."""
     n = likelihood.problem.n
     rest, most = np.zeros(n), likelihood.problem.stiction(likelihood.noise)
@@ -78,7 +78,7 @@ def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> tupl
         values = []
         for share in SHARES:
             now[:, 0, j] = share**2 * most[:, 0, j]
-            values.append(likelihood.with_stiction(now.copy())(found))
+            values.append(likelihood.with_stiction(now.copy())(disturbance))
         rest[j] = SHARES[int(np.argmax(values))]
         now[:, 0, j] = rest[j] ** 2 * most[:, 0, j]
     return rest, likelihood.with_stiction(now)

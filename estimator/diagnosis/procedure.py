@@ -162,22 +162,22 @@ def large(context: DiagnosisContext) -> bool:
     return bool(noisy_sensors(context.nominal)) or EDGE < least_error(context, []) < np.inf
 
 
-def least_error(context: DiagnosisContext, found: Sequence[Explanation]) -> float:
+def least_error(context: DiagnosisContext, explanations: Sequence[Explanation]) -> float:
     """The least error of the nominal model and of explanations on the train runs, over that of noise; infinite where
     none can be simulated."""
     with suppress(FitError):
-        best = by_error(first_of_each(found))
+        best = by_error(first_of_each(explanations))
         table = train_table(context, best)
         return min(table.error(k) for k in range(1 + len(best)))
     return np.inf
 
 
-def conclude(context: DiagnosisContext, base: Diagnosis, found: Sequence[Explanation], generic: Model | None,
+def conclude(context: DiagnosisContext, base: Diagnosis, explanations: Sequence[Explanation], generic: Model | None,
              rng: np.random.Generator) -> Diagnosis:
     """The account of what is decided on the test runs, and where that is open on all runs."""
     material = context.share
     try:
-        family = family_of(context, found, generic)
+        family = family_of(context, explanations, generic)
         first = measure_first(family, rng)
     except FitError as error:
         return account.undecided(base, f"every simulation of the held-out runs diverges ({error})")

@@ -121,9 +121,9 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
                                            or last < before * (1.0 - SUFFICES * context.share)))
 
 
-def possible(found: Sequence[Explanation]) -> list[Explanation]:
+def possible(explanations: Sequence[Explanation]) -> list[Explanation]:
     """The `admissible` ones, or all without any: a set that is no answer sets neither noise levels nor scatter."""
-    return [e for e in found if admissible(e)] or list(found)
+    return [e for e in explanations if admissible(e)] or list(explanations)
 
 
 def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:
@@ -244,12 +244,12 @@ def fit_free(held: Model) -> Model:
     if held.state.converged and not any(not s.discrete for e in held.effects for s in e.shapes):
         return held
     try:
-        found = refit(held, pairs_of(held), FREE_STEPS, hold_limits=False)
-        if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
-            if not found.state.converged:
-                found = refit(found, pairs_of(found), FREE_STEPS)
-            return max(found, held, key=lambda m: m.log_marginal)  # a shape can diverge
-        return found
+        model = refit(held, pairs_of(held), FREE_STEPS, hold_limits=False)
+        if any(np.any(e.at_limits(s)) for e, s in zip(model.effects, model.sizes())):
+            if not model.state.converged:
+                model = refit(model, pairs_of(model), FREE_STEPS)
+            return max(model, held, key=lambda m: m.log_marginal)  # a shape can diverge
+        return model
     except FIT_ERRORS:
         return held
 
@@ -302,15 +302,15 @@ def reduced(context: DiagnosisContext, explanations: Sequence[Explanation]) -> l
     return assess(context, fit_sets(context, list(starts.values()))) if starts else []
 
 
-def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Explanation]) -> list[Explanation]:
+def exchanged(context: DiagnosisContext, tests: ScoreTests, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Sets that differ from the likeliest of each number of effects by one effect, changed for one that can replace it.
 
-    Without those among the `found`, and of each number those alone that are the likeliest after a few steps.
+    Without those among the `explanations`, and of each number those alone that are the likeliest after a few steps.
     """
-    known = {e.keys for e in found}
+    known = {e.keys for e in explanations}
     shapes, chosen = best_shapes(context, tests), []
     for count in sorted({len(k) for k in known}):
-        best = max((e for e in found if len(e.model.effects) == count), key=lambda e: e.gain)
+        best = max((e for e in explanations if len(e.model.effects) == count), key=lambda e: e.gain)
         pairs, starts = pairs_of(best.model), []
         for k, effect in enumerate(best.model.effects):
             own = next(i for i in shapes if context.candidates[i].effect.key == effect.key)
@@ -322,7 +322,7 @@ def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Expl
                     changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
                     starts.append((context.nominal, changed))
         chosen += tried(context, starts)
-    return without(assess_answers(context, fit_sets(context, chosen), found), found) if chosen else []
+    return without(assess_answers(context, fit_sets(context, chosen), explanations), explanations) if chosen else []
 
 
 def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int) -> bool:
@@ -338,13 +338,13 @@ def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int)
     return tests.explained(context.columns[own][0], context.columns[other][: two.defining]) > SUFFICES
 
 
-def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:
+def weigh(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """The likeliest fit of each set of effects, the most likely first.
 
     Its gain over the nominal model is that under the noise of the likeliest set, over the scatter between runs.
     """
     first: dict[frozenset[str], Explanation] = {}
-    for e in sorted(found, key=lambda e: -e.gain):
+    for e in sorted(explanations, key=lambda e: -e.gain):
         first.setdefault(e.keys, e)
     best = list(first.values())
     if not best:

@@ -42,16 +42,16 @@ def noise_of(model: Model) -> FloorNoise:
     return model.once("noise", lambda: noise_floor(model))
 
 
-def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: Floor | None = None
+def train_table(context: DiagnosisContext, explanations: Sequence[Explanation], floor: Floor | None = None
                 ) -> ErrorTable:
-    """Errors of the nominal model and of `found`, in this order, on the train runs, in units of the `floor`, by
+    """Errors of the nominal model and of `explanations`, in this order, on the train runs, in units of the `floor`, by
     default that of the best.
 
     Each run is predicted by the fit to the other train runs. Raises `FitError`.
     """
-    (unit, floors), train = floor or floor_of_best(context, found), context.split.train
+    (unit, floors), train = floor or floor_of_best(context, explanations), context.split.train
     every = [left_out_runs(context.nominal, context.own_scores, train),
-             *(left_out_runs(e.model, e.scores, train) for e in found)]
+             *(left_out_runs(e.model, e.scores, train) for e in explanations)]
     runs = [reduce(together, [one[run] for one in every]) for run in train]
     return judged(unit, runs, floors, range(len(every)), context.rng)
 

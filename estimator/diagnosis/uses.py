@@ -16,16 +16,16 @@ from estimator.result import TWO_SIDED
 from estimator.use import best_first, use_of_parameters
 
 
-def model_told(found: Diagnosis, nominal: Model) -> FittedModel:
+def model_told(diagnosis: Diagnosis, nominal: Model) -> FittedModel:
     """The model that a model file has: with the named causes, or the nominal one where none is."""
-    return replace(nominal.fitted, parameters=found.extended_beta if found.effects else nominal.fitted.beta,
-                   effects=tuple(effect for effect, _ in found.effects), covariance=None, noise=None)
+    return replace(nominal.fitted, parameters=diagnosis.extended_beta if diagnosis.effects else nominal.fitted.beta,
+                   effects=tuple(effect for effect, _ in diagnosis.effects), covariance=None, noise=None)
 
 
-def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
-    """`found` with the uses of its model, those of learnt torques by runs left out; without any where it cannot be
+def with_uses(diagnosis: Diagnosis, nominal: Model) -> Diagnosis:
+    """`diagnosis` with the uses of its model, those of learnt torques by runs left out; without any where it cannot be
     simulated."""
-    split, model = nominal.split, model_told(found, nominal)
+    split, model = nominal.split, model_told(diagnosis, nominal)
     options = replace(split.options, noise=split.known)
 
     runs = *split.test, *split.train
@@ -36,14 +36,14 @@ def with_uses(found: Diagnosis, nominal: Model) -> Diagnosis:
         return predict_run([one], USE_HORIZONS_S)
 
     try:
-        if found.structure is None:
+        if diagnosis.structure is None:
             table = tabulate(parallel_map(predicted, len(runs), split.workers), 0)
             uses = uses_of(replace(table, held=np.arange(len(split.test))), split.mechanism)
         else:
-            uses = uses_of(found.structure.table, split.mechanism, 1)
+            uses = uses_of(diagnosis.structure.table, split.mechanism, 1)
     except FIT_ERRORS:
-        return found
-    values, std = found.extended or found.nominal, found.extended_std or found.nominal_std
-    known = [use_of_parameters(TWO_SIDED * std[p.name], values[p.name], found.verdict in ("none", "named"))
+        return diagnosis
+    values, std = diagnosis.extended or diagnosis.nominal, diagnosis.extended_std or diagnosis.nominal_std
+    known = [use_of_parameters(TWO_SIDED * std[p.name], values[p.name], diagnosis.verdict in ("none", "named"))
              for p in split.mechanism.parameters if p.rigid and values.get(p.name) and p.name in std]
-    return replace(found, uses=best_first((*uses, *known[:1])))
+    return replace(diagnosis, uses=best_first((*uses, *known[:1])))

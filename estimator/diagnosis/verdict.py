@@ -132,17 +132,17 @@ def _keys(answer: Answer | None) -> frozenset[str]:
 
 def decide(table: ErrorTable, family: Family, material: float) -> Decision:
     """The verdict by the errors in `table`; `material` is the least relative reduction that counts."""
-    found = tolerated(table, _decide(table, family, material))
-    if found.verdict != "none" or found.within:
-        return found
-    row = NOMINAL if found.answer is None else found.answer.row
+    decision = tolerated(table, _decide(table, family, material))
+    if decision.verdict != "none" or decision.within:
+        return decision
+    row = NOMINAL if decision.answer is None else decision.answer.row
     hidden = next((h for h in family.hidden if h.row == row), None)
     why = ""
     if hidden is not None and hides(table, hidden, material):
         why = hidden.text
     elif family.answer is None and family.dominated:
         why = family.dominated
-    return replace(found, verdict="unexplained", why=why, refused=True) if why else found
+    return replace(decision, verdict="unexplained", why=why, refused=True) if why else decision
 
 
 def tolerated(table: ErrorTable, found: Decision) -> Decision:

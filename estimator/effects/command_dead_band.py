@@ -23,9 +23,9 @@ class CommandDeadBand(LoopEffect):
     experiment = "slow ramps of the command in both directions"
     plans = ("slow", "ramps")
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        error, rate_error = told.error(*motion)
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        error, rate_error = commanded.error(*motion)
         width = float(size[0])
         most = np.maximum(np.maximum(np.abs(error), abs(width)), 1e-12)  # so that no power is too small a number
         left = width * error / (most * ((error / most) ** 6 + (width / most) ** 6) ** (1.0 / 6.0))
-        return made(told, error - left, rate_error, motion[1])
+        return made(commanded, error - left, rate_error, motion[1])

@@ -26,5 +26,5 @@ class CommandDelay(LoopEffect):
         late_ms = 1e3 * abs(float(size[0]))
         return f"a command acts {late_ms:.3g} ms {'after' if size[0] > 0.0 else 'before'} it was logged"
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        return made(told, *told.error(*motion, late_s=float(size[0])), motion[1])
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        return made(commanded, *commanded.error(*motion, late_s=float(size[0])), motion[1])

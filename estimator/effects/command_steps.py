@@ -27,7 +27,7 @@ class CommandSteps(LoopEffect):
     experiment = "slow ramps of the command"
     plans = ("slow", "ramps")
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        error, rate_error = told.error(*motion)
-        angle = told.heard[0]
-        return made(told, error + size[0] * (np.round(angle / size[1]) * size[1] - angle), rate_error, motion[1])
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        error, rate_error = commanded.error(*motion)
+        angle = commanded.heard[0]
+        return made(commanded, error + size[0] * (np.round(angle / size[1]) * size[1] - angle), rate_error, motion[1])

@@ -31,7 +31,8 @@ class GainScale(LoopEffect):
         likelihood takes for the best of fits."""
         return bool(size[0] > LEAST - 1.0)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        loop, more = told.loop, 1.0 + float(size[0])
-        error, rate_error = told.error(*motion)
-        return loop.acting(loop.wanted(more * error, more * rate_error, more * told.summed), motion[1], told.supply)
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        loop, more = commanded.loop, 1.0 + float(size[0])
+        error, rate_error = commanded.error(*motion)
+        return loop.acting(loop.wanted(more * error, more * rate_error, more * commanded.summed), motion[1],
+                           commanded.supply)

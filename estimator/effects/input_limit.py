@@ -27,8 +27,8 @@ class InputLimit(LoopEffect):
     plans = ("large", "fast")
     starts = ((1.0, 0.1), (1.0, 0.3))
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        error, rate_error = told.error(*motion)
-        wanted = told.loop.wanted(error, rate_error, told.summed)
-        level = size[1] * reach(told, view, self.joint or 0)
-        return told.loop.acting(wanted - size[0] * (wanted - np.clip(wanted, -level, level)), motion[1], told.supply)
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        loop = commanded.loop
+        wanted = loop.wanted(*commanded.error(*motion), commanded.summed)
+        level = size[1] * reach(commanded, view, self.joint or 0)
+        return loop.acting(wanted - size[0] * (wanted - np.clip(wanted, -level, level)), motion[1], commanded.supply)

@@ -47,12 +47,12 @@ class LoopEffect(TorqueEffect):
             return {}
         return central(self._lacking(at.commanded.of_joint(j), moved_sides(at.q[j], at.v[j], at.a[j]), size, view))
 
-    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        return np.asarray(told.input(*motion) - self.acting(told, motion, size, view))
+    def _lacking(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        return np.asarray(commanded.input(*motion) - self.acting(commanded, motion, size, view))
 
     @abstractmethod
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        """(m, ...) torque of the loop [N m] at m motions q, v, a (m, ...) of its joint; `told` has (1, ...)."""
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        """(m, ...) torque of the loop [N m] at m motions q, v, a (m, ...) of its joint; `commanded` has (1, ...)."""
 
 
 class ClosedLoop(LoopEffect):
@@ -75,17 +75,17 @@ class ClosedLoop(LoopEffect):
         """(2, K) and (N,) input by the record [N m]"""
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
-        found = super().perturb(view, size)
-        for torque, recorded in zip((found.torque, found.torque_at_samples), self.recorded):
+        perturbation = super().perturb(view, size)
+        for torque, recorded in zip((perturbation.torque, perturbation.torque_at_samples), self.recorded):
             assert torque is not None
             torque[self.joint or 0] += recorded
-        return found
+        return perturbation
 
-    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        return -told.input(*motion)
+    def _lacking(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        return -commanded.input(*motion)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        return told.input(*motion)
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        return commanded.input(*motion)
 
 
 def moved_sides(q: FloatArray, v: FloatArray, a: FloatArray) -> Motion:
@@ -102,13 +102,13 @@ def central(sides: FloatArray) -> dict[str, FloatArray]:
     return {name: (sides[2 * k] - sides[2 * k + 1]) / (2.0 * h) for k, (name, h) in enumerate(MOTION_STEPS.items())}
 
 
-def made(told: Commanded, error: FloatArray, rate_error: FloatArray, rate: FloatArray) -> FloatArray:
+def made(commanded: Commanded, error: FloatArray, rate_error: FloatArray, rate: FloatArray) -> FloatArray:
     """(n, ...) torque that the loops make of their errors."""
-    loop = told.loop
-    return loop.acting(loop.wanted(error, rate_error, told.summed), rate, told.supply)
+    loop = commanded.loop
+    return loop.acting(loop.wanted(error, rate_error, commanded.summed), rate, commanded.supply)
 
 
-def reach(told: Commanded, view: View, joint: int) -> FloatArray:
+def reach(commanded: Commanded, view: View, joint: int) -> FloatArray:
     """(n, ...) size of what a loop wants if the error is half of the `joint`'s range of angles, at most its limit."""
     half = 0.5 * float(np.ptp(view.angle_range[joint])) or 1.0
-    return np.minimum(np.abs(np.asarray(told.loop.gain)) * half, told.loop.limit)
+    return np.minimum(np.abs(np.asarray(commanded.loop.gain)) * half, commanded.loop.limit)

@@ -52,9 +52,9 @@ class SimulatedIntegral(Effect):
                             self._less(at, told, more))
 
     @staticmethod
-    def _less(at: Any, told: Commanded, more: FloatArray) -> FloatArray:
+    def _less(at: Any, commanded: Commanded, more: FloatArray) -> FloatArray:
         """(n, ...) torque that the motion lacks, with so much more in the integral."""
-        n, out = len(told.supply), np.zeros_like(at.q)
+        n, out = len(commanded.supply), np.zeros_like(at.q)
         motion = at.q[:n], at.v[:n], at.a[:n]
-        out[:n] = told.input(*motion) - replace(told, summed=told.summed + more).input(*motion)
+        out[:n] = commanded.input(*motion) - replace(commanded, summed=commanded.summed + more).input(*motion)
         return out

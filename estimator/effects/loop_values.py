@@ -24,9 +24,9 @@ class LimitValue(_LoopValue):
     name = "loop_limit"
     sizes = (Size("limit", "N m", 0.02),)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        own = replace(told, loop=replace(told.loop, limit=max(float(size[0]), 0.0)))
-        return made(own, *told.error(*motion), motion[1])
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        own = replace(commanded, loop=replace(commanded.loop, limit=max(float(size[0]), 0.0)))
+        return made(own, *commanded.error(*motion), motion[1])
 
 
 class DampingValue(_LoopValue):
@@ -35,9 +35,9 @@ class DampingValue(_LoopValue):
     name = "loop_damping"
     sizes = (Size("damping", "N m s/rad", 0.01),)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        own = replace(told, loop=replace(told.loop, damping=told.loop.damping + float(size[0])))
-        return made(own, *told.error(*motion), motion[1])
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        own = replace(commanded, loop=replace(commanded.loop, damping=commanded.loop.damping + float(size[0])))
+        return made(own, *commanded.error(*motion), motion[1])
 
 
 class VelocityFilter(_LoopValue):
@@ -47,6 +47,6 @@ class VelocityFilter(_LoopValue):
     name = "velocity_filter"
     sizes = (Size("time_constant", "s", 0.001),)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        error, rate_error = told.error(*motion)
-        return made(told, error, rate_error + float(size[0]) * motion[2], motion[1])
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        error, rate_error = commanded.error(*motion)
+        return made(commanded, error, rate_error + float(size[0]) * motion[2], motion[1])

@@ -51,7 +51,7 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
 
     `encoders`: 0-based joints that have one; None: those of `has_imu`'s usual path.
     """
-    found: list[Effect] = []
+    effects: list[Effect] = []
     refused = dict(UNTESTABLE)
     read = range(mechanism.n) if encoders is None else encoders
     for kind in classes():
@@ -63,8 +63,8 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
             if why:
                 refused[effect.key] = why
             else:
-                found.append(effect)
-    return found, refused
+                effects.append(effect)
+    return effects, refused
 
 
 def joints_of(kind: type[Effect], mechanism: Mechanism) -> Sequence[int | None]:

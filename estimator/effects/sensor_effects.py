@@ -70,23 +70,23 @@ class EncoderEffect(SensorEffect, LoopEffect):
             return Perturbation(readings=readings)
         return replace(LoopEffect.perturb(self, view, size), readings=readings)
 
-    def _lacking(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+    def _lacking(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         """Input by the law as the model has it, less the one that acts.
 
         The model has that of the logged angle, or in a closed loop that of the true one.
         """
         heard = _is_heard(size)
-        if heard != told.closed:
+        if heard != commanded.closed:
             return np.zeros_like(motion[0])
-        more = self.acting(told, motion, size, view) - told.input(*motion)
+        more = self.acting(commanded, motion, size, view) - commanded.input(*motion)
         return -more if heard else more
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
         """(m, ...) input of a loop that hears the wrong angle."""
         q, v, a = motion
         below, at, above = (self.error(q + by, size) for by in (-STEP_RAD, 0.0, STEP_RAD))
         slope, curve = (above - below) / (2.0 * STEP_RAD), (above - 2.0 * at + below) / STEP_RAD**2
-        return told.input(q + at, (1.0 + slope) * v, (1.0 + slope) * a + curve * v**2)
+        return commanded.input(q + at, (1.0 + slope) * v, (1.0 + slope) * a + curve * v**2)
 
     @abstractmethod
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:

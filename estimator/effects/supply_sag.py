@@ -26,8 +26,8 @@ class SupplySag(LoopEffect):
     experiment = "the same commands at two amplitudes, with the supply's voltage logged"
     plans = ("large",)
 
-    def acting(self, told: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
-        error, rate_error = told.error(*motion)
-        wanted = told.loop.wanted(error, rate_error, told.summed)
-        left = np.maximum(1.0 - size[0] * np.abs(wanted) / reach(told, view, self.joint or 0), 0.1)
-        return told.loop.acting(wanted, motion[1], told.supply * left)
+    def acting(self, commanded: Commanded, motion: Motion, size: FloatArray, view: View) -> FloatArray:
+        error, rate_error = commanded.error(*motion)
+        wanted = commanded.loop.wanted(error, rate_error, commanded.summed)
+        left = np.maximum(1.0 - size[0] * np.abs(wanted) / reach(commanded, view, self.joint or 0), 0.1)
+        return commanded.loop.acting(wanted, motion[1], commanded.supply * left)

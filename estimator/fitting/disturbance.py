@@ -105,22 +105,22 @@ class MarginalLikelihood:
         own.problem = self.problem.with_stiction(known)
         return own
 
-    def __call__(self, found: Disturbance) -> float:
+    def __call__(self, disturbance: Disturbance) -> float:
         """log p up to a constant; -inf where the equations cannot be solved."""
-        noise = found.put(self.noise)
+        noise = disturbance.put(self.noise)
         try:
             return self._value(noise, *self._solved(noise))
         except np.linalg.LinAlgError:
             return -np.inf
 
-    def climb(self, found: Disturbance, joint: int) -> tuple[float, FloatArray]:
+    def climb(self, disturbance: Disturbance, joint: int) -> tuple[float, FloatArray]:
         """log p as above, and its derivatives (3,) by the logarithms of one joint's level, time constant and white
         noise.
 
         By Fisher's identity (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977) they are those of the log
         likelihood of motion and readings together, in the mean over motions given the readings.
         """
-        p, n, noise = self.problem, self.problem.n, found.put(self.noise)
+        p, n, noise = self.problem, self.problem.n, disturbance.put(self.noise)
         try:
             solved, squares = self._solved(noise)
         except np.linalg.LinAlgError:
@@ -147,9 +147,9 @@ class MarginalLikelihood:
         of_rows = float(np.sum(np.log(p.torque_variance(noise)))) + Process.of(noise, p.dt).log_determinant(p.ends)
         return -0.5 * (squares - float(solved.product()[0, 0]) + solved.log_determinant() + of_rows)
 
-    def smoothed(self, found: Disturbance) -> FloatArray:
+    def smoothed(self, disturbance: Disturbance) -> FloatArray:
         """(N, n) most likely disturbance torques on the joints [N m]. Raises `LinAlgError`."""
-        solved, _ = self._solved(found.put(self.noise))
+        solved, _ = self._solved(disturbance.put(self.noise))
         return -(self.e - solved.solution(np.ones(1))[:, 3 * self.problem.n :])
 
     def _solved(self, noise: Noise) -> tuple[Swept, float]:
@@ -267,8 +267,8 @@ def _climbed(likelihood: MarginalLikelihood, begin: Disturbance, joint: int, kno
     return at(found.x), -float(found.fun)
 
 
-def _with(found: Disturbance, joint: int, level: float, constant: float, white: float) -> Disturbance:
-    """`found` with one joint's values."""
-    out = Disturbance(*(values.copy() for values in found))
+def _with(disturbance: Disturbance, joint: int, level: float, constant: float, white: float) -> Disturbance:
+    """`disturbance` with one joint's values."""
+    out = Disturbance(*(values.copy() for values in disturbance))
     out.level[joint], out.time_constant[joint], out.white[joint] = level, constant, white
     return out

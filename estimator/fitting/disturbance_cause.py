@@ -100,12 +100,12 @@ def cause_of_disturbance(fitted: ExtendedFit, disturbed: tuple[Disturbance, Fitt
     return None
 
 
-def _slow_part(found: Disturbance) -> float:
+def _slow_part(disturbance: Disturbance) -> float:
     """Spectral density at frequency zero, 2 sigma^2 T [(N m)^2 s], over all joints: the part that moves parameters.
 
     What is left at a time constant of a few samples is nearly white, and its level is of no account.
     """
-    return float(2.0 * np.sum(found.level**2 * found.time_constant))
+    return float(2.0 * np.sum(disturbance.level**2 * disturbance.time_constant))
 
 
 def _with_effect(problem: LatentProblem, effect: Effect, parts: Sequence[SignalSet]) -> LatentProblem:

@@ -69,10 +69,10 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     signals = split_signals(datasets, mechanism, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     moved, age_s = without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
-    found = (_fit(moved, mechanism, options, bound_s, age_s) if age_s else None) or _fit(
+    result = (_fit(moved, mechanism, options, bound_s, age_s) if age_s else None) or _fit(
         signals, mechanism, options, bound_s)
-    assert found
-    return found
+    assert result
+    return result
 
 
 def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bound_s: float, age_s: float = 0.0
@@ -107,12 +107,12 @@ def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bo
     return replace(result, assumptions=(*result.assumptions, *filter(None, said), *fitted.said))
 
 
-def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
+def describe_smoothing_velocity(stated: Mechanism, mechanism: Mechanism) -> str | None:
     """Sentence on the estimated friction smoothing velocity; None where it is as stated."""
-    wider = [j for j in range(found.n) if found.velocity_scales[j] > stated.velocity_scales[j]]
+    wider = [j for j in range(mechanism.n) if mechanism.velocity_scales[j] > stated.velocity_scales[j]]
     if not wider:
         return None
-    told = " and ".join(f"{found.velocity_scales[j]:.2g} {found.length_unit}/s at joint {j + 1}" for j in wider)
+    told = " and ".join(f"{mechanism.velocity_scales[j]:.2g} {mechanism.length_unit}/s at joint {j + 1}" for j in wider)
     return (f"friction smoothing velocity {told}, estimated; near rest the friction torque counts as unknown, with one "
             "value for each zero crossing of the velocity")
 

@@ -279,14 +279,14 @@ def fit_mle_free(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
 
 
 def _trajectories(problem: FreeProblem, signals: Sequence[SignalSet],
-                  found: Minimum) -> tuple[tuple[Trajectory, ...], FloatArray]:
+                  minimum: Minimum) -> tuple[tuple[Trajectory, ...], FloatArray]:
     """Motion and sensor predictions by segment, and the torque residual (m, n)."""
     m = problem.mechanism
-    s, c, v, a = problem.motion(found.w)
+    s, c, v, a = problem.motion(minimum.w)
     q, qd, qdd = problem.q.copy(), problem.qd.copy(), problem.qdd.copy()
     q[:, 0], qd[:, 0], qdd[:, 0] = np.unwrap(np.arctan2(s, c)), v, a
-    tau = m.inverse_dynamics(q, qd, qdd, found.beta)
-    residual = problem.torque[problem.inner] - problem.regressor(found.w) @ found.beta
+    tau = m.inverse_dynamics(q, qd, qdd, minimum.beta)
+    residual = problem.torque[problem.inner] - problem.regressor(minimum.w) @ minimum.beta
     paths, at = [], 0
     for signal in signals:
         part = slice(at, at + len(signal.time_s))

@@ -148,10 +148,10 @@ def refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) 
                 "under [noise], or lower rate_hz")
 
 
-def state_of(found: Searched, record: int, noise: Noise) -> State:
+def state_of(searched: Searched, record: int, noise: Noise) -> State:
     """State that a search found for one of its records. Raises `FitError` where no search converged."""
-    if not np.isfinite(found.objective[record]):
+    if not np.isfinite(searched.objective[record]):
         raise FitError("no search converged; the record is too short or too noisy")
-    q, v, u = np.split(found.x[record], 3, axis=-1)
-    return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
-                 bool(found.converged[record]), int(found.steps[record]))
+    q, v, u = np.split(searched.x[record], 3, axis=-1)
+    return State(Latents(q, v, u), searched.beta[record], noise, searched.covariance[record],
+                 bool(searched.converged[record]), int(searched.steps[record]))

@@ -111,20 +111,20 @@ def expected_misfit(problem: BatchProblem, samples: int) -> tuple[float, float]:
 
 def search(problem: BatchProblem, records: Records) -> Searched:
     """Best beta and motion of each record from up to len(STARTS) starts."""
-    found = empty(records, problem.mechanism.p)
+    searched = empty(records, problem.mechanism.p)
     mean, spread = expected_misfit(problem, records.angles.shape[1])
-    agreed = np.zeros(len(found.objective), dtype=bool)
+    agreed = np.zeros(len(searched.objective), dtype=bool)
     for degree, length in STARTS:
-        where = np.flatnonzero(~(found.converged & (agreed | (found.objective < mean + MISFIT_SPREADS * spread))))
+        where = np.flatnonzero(~(searched.converged & (agreed | (searched.objective < mean + MISFIT_SPREADS * spread))))
         if where.size == 0:
             break
         part = records.pick(where)
         tried = descend(problem, part, *first_guess(problem, part, degree, length))
-        same = np.isclose(tried.objective, found.objective[where], rtol=0.0, atol=SAME_MISFIT)
-        agreed[where] = same & tried.converged & found.converged[where]
-        better = (tried.objective < found.objective[where] - 1e-3) | ~np.isfinite(found.objective[where])
-        found.put(where, tried, better)
-    return found
+        same = np.isclose(tried.objective, searched.objective[where], rtol=0.0, atol=SAME_MISFIT)
+        agreed[where] = same & tried.converged & searched.converged[where]
+        better = (tried.objective < searched.objective[where] - 1e-3) | ~np.isfinite(searched.objective[where])
+        searched.put(where, tried, better)
+    return searched
 
 
 def first_guess(problem: BatchProblem, records: Records, degree: int,

@@ -133,12 +133,12 @@ def _parts(marginal: Marginal, nuisances: Sequence[Nuisance], p: int, inside: In
     for k, one in enumerate(nuisances):
         if one.tolerance > 0.0:
             by_source.setdefault(one.source, []).append(k)
-    found = []
+    parts = []
     for source, which in by_source.items():
         own = rows[which]
         sizes = {} if source == STRUCTURE else {nuisances[k].size: nuisances[k].tolerance for k in which}
-        found.append(BudgetPart(source, own if len(own) <= p else _root(own.T @ own), tuple(sizes.values())))
-    return found
+        parts.append(BudgetPart(source, own if len(own) <= p else _root(own.T @ own), tuple(sizes.values())))
+    return parts
 
 
 def _root(covariance: FloatArray) -> FloatArray:

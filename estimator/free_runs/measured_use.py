@@ -34,12 +34,12 @@ def on_one_more(error: FloatArray, size: FloatArray, run: IndexArray, held: Inde
     names, of_run = np.unique(run, return_inverse=True)
     tested = np.isin(names, names if held is None else held)
     known, count = tested[of_run], tested.sum()
-    found = paired_ratio(error[known], size[known], run[known], FEWEST)
-    if found.ci95 is None:
-        return found
-    middle, half = np.log(found.value), np.log(found.ci95[1] / found.value) * count**0.5
+    ratio = paired_ratio(error[known], size[known], run[known], FEWEST)
+    if ratio.ci95 is None:
+        return ratio
+    middle, half = np.log(ratio.value), np.log(ratio.ci95[1] / ratio.value) * count**0.5
     if len(names) >= FEWEST:
         sums = np.array([np.bincount(of_run, x) for x in (size, error)])
         middle, half = log_ratio(sums[:, tested])[0], log_ratio(sums)[1] * len(names) ** 0.5
     low, high = (float(np.exp(middle + sign * half * (1.0 + 1.0 / count) ** 0.5)) for sign in (-1, 1))
-    return found._replace(ci95=(low, high))
+    return ratio._replace(ci95=(low, high))

@@ -82,13 +82,13 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
         np.stack([one.drive - one.problem.motor_torque(one.state.x, one.state.beta) for one in smoothed]))
 
 
-def _every(one: SmoothedRun, horizons_s: Sequence[float]) -> list[tuple[FloatArray, int]]:
+def _every(smoothed_run: SmoothedRun, horizons_s: Sequence[float]) -> list[tuple[FloatArray, int]]:
     """At each horizon, those that cut no segment simulated once."""
     found: dict[int, tuple[FloatArray, int]] = {}
-    counts = [len(pieces(one.problem, h)) for h in horizons_s]
+    counts = [len(pieces(smoothed_run.problem, h)) for h in horizons_s]
     for h, count in sorted(zip(horizons_s, counts), reverse=True):
         if count not in found:
-            found[count] = _simulated(one, h)
+            found[count] = _simulated(smoothed_run, h)
     return [found[count] for count in counts]
 
 
@@ -106,12 +106,12 @@ def rows_of(problem: LatentProblem, v: FloatArray, readings: Mapping[Channel, Fl
     return np.stack([*angles, *v.T, *imu])
 
 
-def _measured(one: SmoothedRun, data: Dataset | None) -> FloatArray:
-    problem = one.problem
+def _measured(smoothed_run: SmoothedRun, data: Dataset | None) -> FloatArray:
+    problem = smoothed_run.problem
     out = np.full((len(channel_names(problem)), problem.total), np.nan)
     out[: problem.n] = problem.angles.T
     if data is not None:
-        rows = np.concatenate([np.searchsorted(data.time_s, s.time_s) for s in one.signals])
+        rows = np.concatenate([np.searchsorted(data.time_s, s.time_s) for s in smoothed_run.signals])
         for j in range(problem.n):
             column = angle_column(problem.mechanism, j)
             if column in data:

@@ -17,12 +17,12 @@ from estimator.signals import angle_column, command_columns, torque_column
 
 def law_checks(datasets: Sequence[Dataset], mechanism: Mechanism) -> list[LawCheck]:
     """One for each driven joint whose input, command and angle were measured in at least two runs."""
-    found = []
+    checks = []
     for joint in mechanism.actuated:
         runs = law_runs(datasets, mechanism, joint)
         if len(runs) > 1:
-            found.append(check_law(runs, joint))
-    return found
+            checks.append(check_law(runs, joint))
+    return checks
 
 
 def corrected_readings(datasets: Sequence[Dataset], mechanism: Mechanism, joint: int, faults: Found

@@ -82,12 +82,12 @@ class LawChange:
 
 def changed_law(reference: LawSizes, test: Sequence[Dataset], mechanism: Mechanism) -> list[LawChange]:
     """Faults that the law shows in the test runs, with sizes that differ from those in the reference runs."""
-    found: list[LawChange] = []
+    changes: list[LawChange] = []
     for joint in () if reference.empty else mechanism.actuated:
         runs = law_runs(test, mechanism, joint)
         if runs:
-            found += _changed(reference, runs, joint)
-    return found
+            changes += _changed(reference, runs, joint)
+    return changes
 
 
 def without_changes(test: Sequence[Dataset], mechanism: Mechanism, changes: Sequence[LawChange]) -> tuple[Dataset, ...]:
@@ -104,7 +104,7 @@ def terms_of(check: LawCheck) -> Found:
 
 
 def _changed(before: LawSizes, after: Sequence[LawRun], joint: int) -> list[LawChange]:
-    found = []
+    changes = []
     check = check_law(after, joint)
     known = terms_of(check)
     by_name = {fault.effect: fault for fault, _ in check.after.faults}
@@ -121,6 +121,6 @@ def _changed(before: LawSizes, after: Sequence[LawRun], joint: int) -> list[LawC
         if p < ALPHA and gained > max(SUFFICES * as_before.share**2, LEAST_SHARE**2):
             share = as_before.share, own.share
             told = replace(cause, size=change, std=std, p_value=p, share=share, freedom=count + then.blocks - 2)
-            found.append(LawChange(told, own.faults[-1:]))
+            changes.append(LawChange(told, own.faults[-1:]))
         known = own.faults
-    return found
+    return changes

@@ -36,7 +36,7 @@ def white_noise(noise: Noise) -> FloorNoise:
     return FloorNoise(noise, none, none)
 
 
-def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
+def floor_errors(smoothed_run: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
                  problem_of: Callable[[Sequence[SignalSet]], LatentProblem], noise: FloorNoise | None = None
                  ) -> FloatArray:
     """(H, C, N) free-run errors of a parametric-bootstrap replicate of the run.
@@ -45,14 +45,14 @@ def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequenc
     `problem_of` gives the likelihood of its signals. Pieces start from the motion that would be fitted to it, whole
     segments from the true one. Raises `FitError` where the model's own simulation diverges.
     """
-    noise = noise or white_noise(one.state.noise)
-    problem, state = one.problem, replace(one.state, noise=noise.noise)
+    noise = noise or white_noise(smoothed_run.state.noise)
+    problem, state = smoothed_run.problem, replace(smoothed_run.state, noise=noise.noise)
     for _ in range(ATTEMPTS):
         disturbance = draw_disturbance(problem, state, noise.rest, rng)
         truth = simulate_run(problem, state, rng, disturbance)
-        signals = draw_replicate(problem, state, one.signals, rng, truth, disturbance)
+        signals = draw_replicate(problem, state, smoothed_run.signals, rng, truth, disturbance)
         again = problem_of(signals)
-        begin = state if np.isinf(horizons_s).all() else smooth_under(again, one.state, near=True)
+        begin = state if np.isinf(horizons_s).all() else smooth_under(again, smoothed_run.state, near=True)
         drive = again.torque - problem.torque_readings(state.x, state.beta)
         found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
         measured = _measured(again, truth.q, truth.v)

@@ -27,13 +27,13 @@ SMALLEST = 1e-10
 """Eigenvalues of the information, in units of the tolerances, below which the runs say nothing."""
 
 
-def enlarged(found: Projected, nuisances: Sequence[Nuisance]) -> tuple[list[Nuisance], Mapping[str, float]]:
+def enlarged(projected: Projected, nuisances: Sequence[Nuisance]) -> tuple[list[Nuisance], Mapping[str, float]]:
     """`nuisances` with the tolerances that the runs ask for, and the factor of each group that has one."""
     size = np.array([one.tolerance for one in nuisances])
-    values, vectors = np.linalg.eigh(found.information * np.outer(size, size))
+    values, vectors = np.linalg.eigh(projected.information * np.outer(size, size))
     kept = values > SMALLEST
     rows = vectors[:, kept] * np.sqrt(values[kept])
-    y = (vectors[:, kept] / np.sqrt(values[kept])).T @ (size * found.score)
+    y = (vectors[:, kept] / np.sqrt(values[kept])).T @ (size * projected.score)
     roots = {group: rows[[one.group == group for one in nuisances]].T for group in {one.group for one in nuisances}}
     roots = {group: root for group, root in sorted(roots.items()) if np.sum(root**2) > SMALLEST}
     if not roots:

@@ -120,7 +120,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
         raise FitError("no run was given")
     joints = options.encoders_of(mechanism.n)
     sight(mechanism, joints, options.sensors == "imu")
-    found, levels = [], _sigma_levels(datasets, mechanism, options)
+    signal_sets, levels = [], _sigma_levels(datasets, mechanism, options)
     for data in datasets:
         imu = [name for k in range(len(mechanism.imus)) for name in imu_columns(k)] if options.sensors == "imu" else []
         angles = [angle_column(mechanism, j) for j in joints]
@@ -137,15 +137,15 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
             tau = np.zeros((n, mechanism.n))
             for j, column in zip(mechanism.actuated, torques):
                 tau[:, j] = data[column][where]
-            found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
+            signal_sets.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
                                    {name: data[name][where] for name in imu}, _spread(data, where, levels),
                                    bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2,
                                    commands_of(data, mechanism.n, where), data.averaged))
-    if not found:
+    if not signal_sets:
         raise GapError("no segment of 20 samples without a gap in any run")
-    if len({s.rate_hz for s in found}) > 1:
+    if len({s.rate_hz for s in signal_sets}) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
-    return found
+    return signal_sets
 
 
 def sigma_column(mechanism: Mechanism, joint: int) -> str:

@@ -82,8 +82,8 @@ def stance_of(data: Dataset, open_s: float) -> tuple[FloatArray, Touchdowns]:
         raise FitError(f"{data.name}: column {STANCE} never changes from one leg to the other; take [walker] out of "
                        "the rig file for a single step, in the joints of docs/formats.md")
     before, after = data.time_s[known[change]], data.time_s[known[change + 1]]
-    found = Touchdowns(0.5 * (before + after), 0.5 * (after - before) + open_s, legs[change + 1])
-    return _stance(data, found, legs[0]), found
+    touchdowns = Touchdowns(0.5 * (before + after), 0.5 * (after - before) + open_s, legs[change + 1])
+    return _stance(data, touchdowns, legs[0]), touchdowns
 
 
 def stance_found(data: Dataset) -> tuple[FloatArray, Touchdowns]:
@@ -92,13 +92,13 @@ def stance_found(data: Dataset) -> tuple[FloatArray, Touchdowns]:
     return _stance(data, found, 3 - int(found.leg[0])), found
 
 
-def _stance(data: Dataset, found: Touchdowns, first: int) -> FloatArray:
+def _stance(data: Dataset, touchdowns: Touchdowns, first: int) -> FloatArray:
     """(N,) leg by touchdowns; NaN within what they leave open, one sample at least, and where `stance` is NaN or 0."""
     time_s = data.time_s
-    legs = np.concatenate([[first], found.leg])
-    out: FloatArray = legs[np.searchsorted(found.time_s, time_s)].astype(float)
+    legs = np.concatenate([[first], touchdowns.leg])
+    out: FloatArray = legs[np.searchsorted(touchdowns.time_s, time_s)].astype(float)
     slack = 1e-6 * data.dt_s
-    for when, open_s in zip(found.time_s, found.open_s):
+    for when, open_s in zip(touchdowns.time_s, touchdowns.open_s):
         out[np.abs(time_s - when) < open_s - slack] = np.nan
         out[min(int(np.searchsorted(time_s, when)), len(out) - 1)] = np.nan
     if STANCE in data:

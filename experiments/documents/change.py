@@ -56,9 +56,9 @@ class Level(Struct, frozen=True, kw_only=True):
     p_value: Annotated[float, Meta(description="over all columns")]
 
     @classmethod
-    def of(cls, found: LevelChange) -> Self:
+    def of(cls, change: LevelChange) -> Self:
         """The same of the estimator's result."""
-        return cls(column=found.column, ratio=found.ratio, ci95=found.ci95, p_value=found.p_value)
+        return cls(column=change.column, ratio=change.ratio, ci95=change.ci95, p_value=change.p_value)
 
 
 class HeldOut(Struct, frozen=True, kw_only=True):
@@ -100,24 +100,24 @@ class Answer(Document, kw_only=True):
     wall_s: Annotated[float, Meta(description="time that it took [s]")] = 0.0
 
     @classmethod
-    def made(cls, found: Change, **more: Any) -> Self:
+    def made(cls, change: Change, **more: Any) -> Self:
         """The answer of the estimator, with the keys `more`."""
         return cls(
-            verdict=found.verdict, sentence=found.sentence, **more,
+            verdict=change.verdict, sentence=change.sentence, **more,
             causes=tuple(Cause(effect=c.effect, kind=c.kind, joint=c.joint, meaning=c.sentence, p_value=c.p_value,
                                size=tuple(CauseSize(name=s.name, unit=s.unit, value=s.value, ci95=s.ci95)
                                           for s in c.size))
-                         for c in found.causes),
+                         for c in change.causes),
             candidates=tuple(Candidate(
                 effect=d.effect, joint=d.joint, size_name=d.name, p_value=d.p_value, change=d.change, unit=d.unit,
                 ci95=d.ci95 if isfinite(d.size) else None, smallest_detectable=d.size if isfinite(d.size) else None)
-                for d in found.detectable),
-            noise=tuple(map(Level.of, found.noise)),
-            free_runs=None if found.free_runs is None else Level.of(found.free_runs),
-            held_out=None if found.held_out is None else HeldOut(runs=found.held_out.runs, gain=found.held_out.gain),
+                for d in change.detectable),
+            noise=tuple(map(Level.of, change.noise)),
+            free_runs=None if change.free_runs is None else Level.of(change.free_runs),
+            held_out=None if change.held_out is None else HeldOut(runs=change.held_out.runs, gain=change.held_out.gain),
             not_testable=tuple(Untestable(effect=effect, joint=int(joint) if joint else None, why=why)
-                               for key, why in found.not_testable for effect, _, joint in [key.partition("@")]),
-            warnings=found.warnings, next_step=next_of_change(found), wall_s=found.wall_s)
+                               for key, why in change.not_testable for effect, _, joint in [key.partition("@")]),
+            warnings=change.warnings, next_step=next_of_change(change), wall_s=change.wall_s)
 
     @property
     def headline(self) -> Headline:
@@ -150,12 +150,12 @@ class ChangeDocument(Answer, kw_only=True):
     provenance: From = UNSET
 
     @classmethod
-    def of(cls, found: Change, set_aside: Sequence[SetAside] = (), sources: Sequence[Source] = (),
+    def of(cls, change: Change, set_aside: Sequence[SetAside] = (), sources: Sequence[Source] = (),
            runs: Sequence[Dataset] = ()) -> Self:
         """The document of a change since the runs of the files `sources`; `runs` are all that are used."""
-        return cls.made(found, set_aside=tuple(set_aside), damaged=tuple(damaged_runs(runs)),
-                        runs={"test": found.test},
-                        against=Against(runs=found.reference, structure=found.structure, p_any=found.p_any,
+        return cls.made(change, set_aside=tuple(set_aside), damaged=tuple(damaged_runs(runs)),
+                        runs={"test": change.test},
+                        against=Against(runs=change.reference, structure=change.structure, p_any=change.p_any,
                                         sources=tuple({"file": s.file, "sha256": s.sha256} for s in sources)))
 
     @property
@@ -185,10 +185,10 @@ class Pair(Answer, kw_only=True):
     p_any: AnyChance = 1.0
 
     @classmethod
-    def of(cls, found: Change, names: tuple[str, str]) -> Self:
+    def of(cls, change: Change, names: tuple[str, str]) -> Self:
         """The entry of two sessions that are called `names`."""
-        return cls.made(found, a=Session(name=names[0], runs=found.reference),
-                        b=Session(name=names[1], runs=found.test), structure=found.structure, p_any=found.p_any)
+        return cls.made(change, a=Session(name=names[0], runs=change.reference),
+                        b=Session(name=names[1], runs=change.test), structure=change.structure, p_any=change.p_any)
 
     @property
     def sides(self) -> tuple[Session, Session]:

@@ -69,18 +69,18 @@ class ComparisonDocument(Document, kw_only=True):
         return self.trust.headline
 
     @classmethod
-    def of(cls, found: Comparison, runs: Sequence[Dataset] = ()) -> Self:
+    def of(cls, comparison: Comparison, runs: Sequence[Dataset] = ()) -> Self:
         """The document of a comparison on `runs`."""
-        return cls(models=found.files, runs=found.runs,
+        return cls(models=comparison.files, runs=comparison.runs,
                    parameters=tuple(Pair(name=p.name, unit=p.unit, meaning=p.meaning, a=_value(p.a), b=_value(p.b),
-                                         z=p.z) for p in found.parameters),
-                   errors=tuple(map(_errors, found.errors)), trust=comparison_trust(found),
-                   set_aside=found.set_aside, damaged=tuple(damaged_runs(runs)))
+                                         z=p.z) for p in comparison.parameters),
+                   errors=tuple(map(_errors, comparison.errors)), trust=comparison_trust(comparison),
+                   set_aside=comparison.set_aside, damaged=tuple(damaged_runs(runs)))
 
 
-def _value(one: Estimate | None) -> Value | None:
-    return None if one is None else Value(value=one.value, std=known(one.std),
-                                          ci95=(known(one.low), known(one.high)))
+def _value(estimate: Estimate | None) -> Value | None:
+    return None if estimate is None else Value(value=estimate.value, std=known(estimate.std),
+                                          ci95=(known(estimate.low), known(estimate.high)))
 
 
 def _errors(e: HorizonError) -> ErrorPair:

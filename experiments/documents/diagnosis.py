@@ -75,11 +75,11 @@ class Parameters(Struct, frozen=True, kw_only=True):
     extended_ci95: Annotated[Intervals, Meta(description="95 % intervals of `extended`")] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found: Diagnosis) -> Self:
+    def of(cls, diagnosis: Diagnosis) -> Self:
         """Values of a diagnosis, and what is known of them."""
         own: dict[str, dict[str, Any]] = {}
-        for model, values, std in (("nominal", found.nominal, found.nominal_std),
-                                   ("extended", found.extended, found.extended_std)):
+        for model, values, std in (("nominal", diagnosis.nominal, diagnosis.nominal_std),
+                                   ("extended", diagnosis.extended, diagnosis.extended_std)):
             every = {name: normal(value, std[name]) for name, value in values.items() if name in std}
             own |= {model: dict(values), f"{model}_std": {name: known(one.std) for name, one in every.items()},
                     f"{model}_ci95": {name: (known(one.low), known(one.high)) for name, one in every.items()}}

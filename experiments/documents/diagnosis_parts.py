@@ -163,10 +163,10 @@ def split_key(key: str) -> tuple[str, int | None]:
     return name, int(joint) if joint else None
 
 
-def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
+def untestable(diagnosis: Diagnosis) -> list[tuple[str, int | None, str]]:
     """(effect, joint from 1 or None, why) of what these runs cannot test."""
-    tested = {candidate.effect for candidate in found.candidates}
-    rows = [(*split_key(key), why) for key, why in found.not_testable.items()]
+    tested = {candidate.effect for candidate in diagnosis.candidates}
+    rows = [(*split_key(key), why) for key, why in diagnosis.not_testable.items()]
     return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
 
 
@@ -201,25 +201,25 @@ def gains_of(errors: Mapping[str, Errors]) -> dict[str, SensorGain]:
             for column, one in errors.items()}
 
 
-def gain_of(found: Diagnosis) -> GainOnHeldOut:
+def gain_of(diagnosis: Diagnosis) -> GainOnHeldOut:
     """The entry `gain` of a diagnosis."""
-    before, after = found.torque_rms_nm
-    return GainOnHeldOut(confirm_runs=found.confirm_runs, free_run_rmse=errors_of(found.sensors),
+    before, after = diagnosis.torque_rms_nm
+    return GainOnHeldOut(confirm_runs=diagnosis.confirm_runs, free_run_rmse=errors_of(diagnosis.sensors),
                          torque_rms_nm=Torques(before=tuple(before), after=tuple(after)),
-                         gap_closed=found.gap_closed, gap_closed_ci95=found.gap_closed_ci95,
+                         gap_closed=diagnosis.gap_closed, gap_closed_ci95=diagnosis.gap_closed_ci95,
                          by_horizon=tuple(OverHorizon(horizon_s=known(one.horizon_s), ratio=known(one.ratio),
-                                                      ci95=one.ci95) for one in found.by_horizon) or UNSET)
+                                                      ci95=one.ci95) for one in diagnosis.by_horizon) or UNSET)
 
 
-def learnt_of(found: PlainStructure | None) -> Learnt | None:
+def learnt_of(structure: PlainStructure | None) -> Learnt | None:
     """The structure of the residual; None without one."""
-    if found is None:
+    if structure is None:
         return None
-    noise = {(one.law.joint or 0) + 1: one.noise_nm for one in found.torques}
-    table = found.table
+    noise = {(one.law.joint or 0) + 1: one.noise_nm for one in structure.torques}
+    table = structure.table
     return Learnt(
-        removed=found.removed, removed_ci95=tuple(found.removed_ci95 or ()),
+        removed=structure.removed, removed_ci95=tuple(structure.removed_ci95 or ()),
         where=tuple(LearntPlace(joint=joint, depends_on=inputs, rms_nm=rms, noise_nm=noise[joint])
-                    for (joint, inputs), rms in where_of(found).items()),
+                    for (joint, inputs), rms in where_of(structure).items()),
         error=tuple(ErrorOver(channel=c, horizon_s=h if np.isfinite(h) else None, before=known(table.rms(0, c, h)),
                               after=known(table.rms(1, c, h))) for c in table.judged for h in table.horizons_s))

@@ -36,11 +36,11 @@ class Walk(Struct, frozen=True, kw_only=True):
     runs: Annotated[list[Walked], Meta(description="whole runs")]
 
     @staticmethod
-    def of(found: WalkAhead) -> Walk:
+    def of(ahead: WalkAhead) -> Walk:
         """The same of the estimator's result."""
         return Walk(
             ahead=[Ahead(steps=a.steps, pieces=a.pieces, fell=a.fell,
-                         rmse={c: None if np.isnan(x) else float(x) for c, x in zip(found.columns, a.rmse)})
-                   for a in found.ahead],
+                         rmse={c: None if np.isnan(x) else float(x) for c, x in zip(ahead.columns, a.rmse)})
+                   for a in ahead.ahead],
             runs=[Walked(run=r.run, steps=r.steps, fell_s=r.fell_s, fell_in_step=r.fell_step or None)
-                  for r in found.whole])
+                  for r in ahead.whole])

@@ -90,9 +90,9 @@ def _unpacked(data: bytearray, where: str) -> ImportedFile:
             at += 8 * size
             return np.frombuffer(data, "<f8", size, at - 8 * size)
 
-        found = msgspec.convert(head, ImportedFile, dec_hook=numbers)
+        file = msgspec.convert(head, ImportedFile, dec_hook=numbers)
         if at != len(data):
             raise ValueError
     except (ValueError, msgspec.MsgspecError):
         raise ended_early(where) from None
-    return found
+    return file

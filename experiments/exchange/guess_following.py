@@ -120,17 +120,17 @@ def _read_commands(imported: ImportedFile, clock: dict[str, Column], order: Mapp
             for j in joints}
 
 
-def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], one: Command,
+def _following_joint(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], command: Command,
                      gravity_mps2: float) -> GuessedMap:
     """The guess for a single joint that follows a command; with its duty and volts where the file has both."""
-    theirs = {"q1_rad": one.angle, "q1_cmd_rad": one.command}
+    theirs = {"q1_rad": command.angle, "q1_cmd_rad": command.command}
     run = apply_map(imported, clock | theirs)
     error = {"tau1_nm": run["q1_cmd_rad"] - run["q1_rad"]}
     joint = find_chain(replace(run, columns={**run.columns, **error}), theirs, gravity_mps2)
     driven = motor_columns(imported)
     columns = joint.columns | driven | clock
     warnings = [*joint.warnings, VOLTS if "duty" in driven else servo_hint([1])]
-    notes = reasons | joint.notes | {"q1_cmd_rad": followed(one)}
+    notes = reasons | joint.notes | {"q1_cmd_rad": followed(command)}
     notes |= dict.fromkeys(driven, "by its layout; the motor's voltage is duty times volts")
     if ENABLED in driven:
         notes[ENABLED] = "by its name; a motor that is off is open, and has no voltage"
@@ -157,12 +157,12 @@ def _following_chain(imported: ImportedFile, clock: dict[str, Column], reasons: 
 
 
 def _following_leg(imported: ImportedFile, clock: dict[str, Column], reasons: dict[str, str], order: Mapping[int, str],
-                   one: Command, gravity_mps2: float) -> GuessedMap:
+                   command: Command, gravity_mps2: float) -> GuessedMap:
     """The guess for a leg whose knee follows a command: the command's error stands for the torque."""
     hip = {"q1_rad": stated(imported, order[1], "q1_rad")} if 1 in order else {}
-    columns = hip | {"q2_rad": one.angle, "q2_cmd_rad": one.command} | clock
+    columns = hip | {"q2_rad": command.angle, "q2_cmd_rad": command.command} | clock
     found = guess_leg(imported, columns, dict(reasons), [], gravity_mps2)
-    notes = found.notes | {"q2_cmd_rad": followed(one)}
+    notes = found.notes | {"q2_cmd_rad": followed(command)}
     return replace(found, notes=notes, warnings=[*found.warnings, servo_hint([2])])
 
 

@@ -43,15 +43,15 @@ def peaks(moved: Moved) -> dict[str, float]:
 def neighbours(prior: PlanInformation, model_error: float) -> list[PlanInformation]:
     """NEIGHBOURS priors whose parameters are all off by the share `model_error`, up or down as drawn;
     all are possible bodies."""
-    rng, found = np.random.default_rng(0), []
+    rng, informations = np.random.default_rng(0), []
     angles = np.linspace(-np.pi, np.pi, 25)[:, None] * np.eye(prior.n)[-1]
     for _ in range(20 * NEIGHBOURS if model_error > 0 else 0):
         beta = prior.beta * (1.0 + model_error * rng.choice((-1.0, 1.0), prior.beta.size))
         if np.linalg.eigvalsh(prior.mechanism.inertia_matrix(angles, beta)).min() > 0:
-            found.append(prior.with_beta(beta))
-        if len(found) == NEIGHBOURS:
+            informations.append(prior.with_beta(beta))
+        if len(informations) == NEIGHBOURS:
             break
-    return found
+    return informations
 
 
 def as_large_as_allowed(prior: PlanInformation, shape: FloatArray, limits: Limits, margin: float,
@@ -62,27 +62,27 @@ def as_large_as_allowed(prior: PlanInformation, shape: FloatArray, limits: Limit
     are to keep the whole limits, not the margin's share of them, or the size falls by STEP_DOWN until they do.
     """
     size = margin * limits.torque_nm if largest_nm is None else min(margin * limits.torque_nm, largest_nm)
-    above, found, near = None, None, None  # near: the last motion, kept or not, to begin the next one from
+    above, moved, near = None, None, None  # near: the last motion, kept or not, to begin the next one from
     for _ in range(SHRINKS):
         near = prior.move(size * shape, near)
         if near is not None and keeps(near, limits, margin):
-            found = near
+            moved = near
             break
         above, size = size, size * SHRINK
-    for _ in range(HALVINGS if found is not None and above is not None else 0):
+    for _ in range(HALVINGS if moved is not None and above is not None else 0):
         assert above is not None
         middle = 0.5 * (size + above)
-        tried = prior.move(middle * shape, found)
+        tried = prior.move(middle * shape, moved)
         if tried is None or not keeps(tried, limits, margin):
             above = middle
         else:
-            size, found = middle, tried
+            size, moved = middle, tried
     for other in others:
-        near = found
-        while found is not None:
-            near = other.move(found.torque, near)
+        near = moved
+        while moved is not None:
+            near = other.move(moved.torque, near)
             if near is not None and keeps(near, limits, 1.0):
                 break
             size *= STEP_DOWN
-            found = prior.move(size * shape, found) if size > LEAST * limits.torque_nm else None
-    return found
+            moved = prior.move(size * shape, moved) if size > LEAST * limits.torque_nm else None
+    return moved

@@ -168,46 +168,46 @@ def _shaped(bench: Bench, kind: PlanKind, time_s: FloatArray, search: Search, ru
     return bench.sized(wave / np.abs(wave).max(), KINDS[kind].share * search.margin)
 
 
-def write_session(found: PlannedSession, folder: Path, rig: str, model: str, margin: float) -> None:
+def write_session(session: PlannedSession, folder: Path, rig: str, model: str, margin: float) -> None:
     """The plans and their index into `folder`. Raises `InputError` where that cannot be written."""
     make_directory(folder)
-    for plan in found.plans:
+    for plan in session.plans:
         write_plan(plan.candidate.plan, folder / plan.file)
-    write_json(folder / INDEX, session_document(found, rig, model, margin))
+    write_json(folder / INDEX, session_document(session, rig, model, margin))
 
 
-def session_document(found: PlannedSession, rig: str, model: str, margin: float) -> dict[str, Any]:
+def session_document(session: PlannedSession, rig: str, model: str, margin: float) -> dict[str, Any]:
     """`legid.excitation/1`; a standard error is null where that plan alone leaves the parameter open."""
-    names = found.design.names
+    names = session.design.names
     return {
         "schema": SCHEMA, "rig": rig, "model": model, "margin": margin,
-        "chosen": list(found.choice.reasons), "by_hand": list(found.choice.by_hand),
+        "chosen": list(session.choice.reasons), "by_hand": list(session.choice.by_hand),
         "plans": [{"file": p.file, "kind": p.kind, "what": KINDS[p.kind].what,
                    "seconds": p.candidate.plan.duration_s, "peaks": p.candidate.peaks,
-                   "std": dict(zip(names, p.candidate.std.tolist()))} for p in found.plans],
-        "session": {"seconds": sum(p.candidate.plan.duration_s for p in found.plans),
-                    "condition_before": condition_number(found.before),
-                    "condition_after": condition_number(found.information),
-                    "std_before": dict(zip(names, standard_errors(found.before).tolist())),
-                    "std": dict(zip(names, standard_errors(found.information).tolist()))},
+                   "std": dict(zip(names, p.candidate.std.tolist()))} for p in session.plans],
+        "session": {"seconds": sum(p.candidate.plan.duration_s for p in session.plans),
+                    "condition_before": condition_number(session.before),
+                    "condition_after": condition_number(session.information),
+                    "std_before": dict(zip(names, standard_errors(session.before).tolist())),
+                    "std": dict(zip(names, standard_errors(session.information).tolist()))},
     }
 
 
-def session_text(found: PlannedSession, folder: Path) -> str:
+def session_text(session: PlannedSession, folder: Path) -> str:
     """Choice with its reason, the plans in order, and their joint prediction, for a person."""
-    lines = [*found.choice.reasons, *(f"by hand: {text}" for text in found.choice.by_hand), ""]
-    for p in found.plans:
+    lines = [*session.choice.reasons, *(f"by hand: {text}" for text in session.choice.by_hand), ""]
+    for p in session.plans:
         peak = ", ".join(f"{name} {value:.3g}" for name, value in p.candidate.peaks.items())
         lines.append(f"{p.file:<14}  {peak}")
-    after, before = standard_errors(found.information), standard_errors(found.before)
-    minutes = sum(p.candidate.plan.duration_s for p in found.plans) / 60.0
-    told = ", ".join(f"{name} {100 * s / abs(b):.2g} %" for name, s, b in zip(found.design.names, after,
-                                                                             found.design.beta))
-    lines += ["", f"{len(found.plans)} plans, {minutes:.1f} min, in {folder} with {INDEX}; condition number before "
-              f"{condition_number(found.before):.1f} (as many first draws), after "
-              f"{condition_number(found.information):.1f}",
+    after, before = standard_errors(session.information), standard_errors(session.before)
+    minutes = sum(p.candidate.plan.duration_s for p in session.plans) / 60.0
+    told = ", ".join(f"{name} {100 * s / abs(b):.2g} %" for name, s, b in zip(session.design.names, after,
+                                                                             session.design.beta))
+    lines += ["", f"{len(session.plans)} plans, {minutes:.1f} min, in {folder} with {INDEX}; condition number before "
+              f"{condition_number(session.before):.1f} (as many first draws), after "
+              f"{condition_number(session.information):.1f}",
               f"predicted standard errors of all together: {told}; "
               f"{float(np.exp(np.mean(np.log(after / before)))):.2f} of as many first draws' in the mean"]
-    if len(found.plans) < TURN * TURN:
+    if len(session.plans) < TURN * TURN:
         lines.append(f"fewer than {TURN * TURN} runs do not give each part of a diagnosis every kind of run")
     return "\n".join(lines)

@@ -84,14 +84,14 @@ class Comparison:
     """Runs that were not used."""
 
 
-def comparison_trust(found: Comparison) -> Trust:
+def comparison_trust(comparison: Comparison) -> Trust:
     """The better model, in one line."""
-    total, files = len(found.errors), dict(zip(NAMES, found.files))
-    wins = {name: [e for e in found.errors if e.better == name] for name in NAMES}
+    total, files = len(comparison.errors), dict(zip(NAMES, comparison.files))
+    wins = {name: [e for e in comparison.errors if e.better == name] for name in NAMES}
     wins = {name: some if len(some) > CHANCE * total else [] for name, some in wins.items()}
-    reasons = (*found.flags, *found.notes)
-    if found.errors and all(e.ci95 is None and not e.better for e in found.errors):
-        smaller = sum(e.b < e.a for e in found.errors)
+    reasons = (*comparison.flags, *comparison.notes)
+    if comparison.errors and all(e.ci95 is None and not e.better for e in comparison.errors):
+        smaller = sum(e.b < e.a for e in comparison.errors)
         return Trust("caution", "NOT DECIDED: these runs are too short for an interval.",
                      (f"The error of B is smaller at {smaller} of {total} sensors and horizons.", *reasons),
                      "Record ten seconds or more")
@@ -104,7 +104,7 @@ def comparison_trust(found: Comparison) -> Trust:
             told = f"{_ratio(best):.2g}" + (
                 "" if best.ci95 is None else f" [{best.ci95[0]:.2g}, {best.ci95[1]:.2g}]") if math.isfinite(
                     _ratio(best)) else "one of them diverged"
-            return Trust("caution" if found.flags else "good",
+            return Trust("caution" if comparison.flags else "good",
                          f"{name} IS BETTER{_of(files[name], name)}: at {len(wins[name])} of {total} sensors and "
                          "horizons, the other at no more than chance allows.",
                          (f"Largest difference: {_place(best)}, rms error of B over A {told}.", *reasons))

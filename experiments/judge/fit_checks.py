@@ -54,25 +54,25 @@ def check_fit(result: FitResult) -> list[Finding]:
 def _findings(result: FitResult) -> list[Finding]:
     """Reasons not to trust the parameters."""
     apart, held = disagreement(result), within_budget(result)
-    found = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
+    findings = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
     if result.method in ("mle", "shooting"):
         allowed = f"; the intervals allow for what {units(result)} disagree about" if disputed(result) else \
             "" if result.method == "shooting" else " and the intervals are too narrow"
         if over := [f"joint {j} ({r:.2f})" for j, r in _structure(result).items() if r > STRUCTURE]:
-            found.append(Finding("doubt", "torque_residual", f"the torque residual of {', '.join(over)} is "
+            findings.append(Finding("doubt", "torque_residual", f"the torque residual of {', '.join(over)} is "
                                  f"autocorrelated (limit {STRUCTURE:g}): the model is missing something{allowed}"))
-        found += _sensor_findings(result)
-        found += _repeating_torques(result)
-        found += _omitted(result)
+        findings += _sensor_findings(result)
+        findings += _repeating_torques(result)
+        findings += _omitted(result)
     if held:
-        found = [replace(one, role="fact", text="the tolerances in the intervals hold this: "
-                         f"{one.text.partition(': ')[0]}") if one.kind in HELD else one for one in found]
-    found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
-    found += _unknown(result)
+        findings = [replace(one, role="fact", text="the tolerances in the intervals hold this: "
+                         f"{one.text.partition(': ')[0]}") if one.kind in HELD else one for one in findings]
+    findings += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
+    findings += _unknown(result)
     if result.undetermined:
-        found.append(Finding("doubt", "undetermined",
+        findings.append(Finding("doubt", "undetermined",
                              f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
-    return found
+    return findings
 
 
 def within_budget(result: FitResult) -> bool:
@@ -125,18 +125,18 @@ def _sensor_findings(result: FitResult) -> list[Finding]:
     Nothing drives a passive joint, and no torque sensor's noise is in its equation: an error beyond that noise is the
     model's, or that of the sensors of motion.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     passive, driven = result.noise.get("passive_joint_nm", 0.0), result.noise.get("torque_nm", 0.0)
     if passive > driven > 0.0:
-        found.append(Finding("doubt", "passive_joint", "the torque residual of a joint without a motor is "
+        findings.append(Finding("doubt", "passive_joint", "the torque residual of a joint without a motor is "
                              f"{passive:.2g} N m, above the torque noise of the driven joint ({driven:.2g} N m): the "
                              "model or a sensor is wrong"))
     far = {name: float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
            for name, residuals in residuals_of(result).items() if not name.startswith("torque")}
     if over := [f"{name} ({r:.2f})" for name, r in far.items() if r > STRONG]:
-        found.append(Finding("doubt", "sensor_residual", f"the residual of {', '.join(over)} is autocorrelated "
+        findings.append(Finding("doubt", "sensor_residual", f"the residual of {', '.join(over)} is autocorrelated "
                              f"(limit {STRONG:g})"))
-    return found
+    return findings
 
 
 def _repeating_torques(result: FitResult) -> list[Finding]:

@@ -95,35 +95,35 @@ def _intervals(result: FitResult) -> tuple[tuple[float, float] | None, ...]:
     return tuple((float(low), float(high)) if np.isfinite([low, high]).all() else None for low, high in result.ci95())
 
 
-def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float) -> Model:
+def diagnosed_model(diagnosis: Diagnosis, setup: Setup, gear_ratio: float) -> Model:
     """The extended model, or the nominal one where the verdict extends nothing."""
-    settings = setup.settings if found.mechanism is None else fitted_settings(setup.settings, found.mechanism)
+    settings = setup.settings if diagnosis.mechanism is None else fitted_settings(setup.settings, diagnosis.mechanism)
     mechanism = build_mechanism(settings)
     p = mechanism.p
-    if found.effects:
-        beta, covariance = found.extended_beta[:p], found.extended_covariance
+    if diagnosis.effects:
+        beta, covariance = diagnosis.extended_beta[:p], diagnosis.extended_covariance
     else:
-        beta = np.array([found.nominal[name] for name in mechanism.names])
-        covariance = np.diag([found.nominal_std[name] ** 2 for name in mechanism.names])
+        beta = np.array([diagnosis.nominal[name] for name in mechanism.names])
+        covariance = np.diag([diagnosis.nominal_std[name] ** 2 for name in mechanism.names])
     return Model(
         schema="legid.model/1", mechanism=settings, parameters=_parameters(settings, beta),
         covariance=tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in covariance),
-        noise={name: float(level) for name, level in found.noise.items()},
-        hold=found.hold or setup.options.hold,
-        effects=tuple(effect_value(effect, size) for effect, size in found.effects),
-        structure=None if found.structure is None else structure_values(found.structure), gear_ratio=gear_ratio,
-        reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
-        provenance=Provenance(runs=_whole_runs(_fitted(found), setup),
+        noise={name: float(level) for name, level in diagnosis.noise.items()},
+        hold=diagnosis.hold or setup.options.hold,
+        effects=tuple(effect_value(effect, size) for effect, size in diagnosis.effects),
+        structure=None if diagnosis.structure is None else structure_values(diagnosis.structure), gear_ratio=gear_ratio,
+        reach=tuple((float(low), float(high)) for low, high in (diagnosis.angle_range if diagnosis.effects else ())),
+        provenance=Provenance(runs=_whole_runs(_fitted(diagnosis), setup),
                               method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=datetime.now(UTC).isoformat(timespec="seconds"),
                               version=program_version()))
 
 
-def _fitted(found: Diagnosis) -> Iterable[str]:
+def _fitted(diagnosis: Diagnosis) -> Iterable[str]:
     """Runs that the model was fitted to: a structure is learnt from the held-out ones, too."""
-    groups = ("fit", "screen", *(("confirm",) if found.structure is not None else ()))
-    return [name for group in groups for name in found.runs.get(group, ())]
+    groups = ("fit", "screen", *(("confirm",) if diagnosis.structure is not None else ()))
+    return [name for group in groups for name in diagnosis.runs.get(group, ())]
 
 
 def _whole_runs(names: Iterable[str], setup: Setup) -> tuple[str, ...]:

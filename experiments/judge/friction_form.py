@@ -29,7 +29,7 @@ def friction_shares(result: FitResult) -> list[FrictionShare]:
     if result.mechanism.actuated or not result.trajectories:
         return []
     qd = np.concatenate([path.qd for path in result.trajectories])
-    found = []
+    shares = []
     for j in range(result.mechanism.n):
         columns = [k for k, p in enumerate(result.mechanism.parameters)
                    if p.term in ("coulomb", "viscous") and p.at[0] == j]
@@ -38,8 +38,8 @@ def friction_shares(result: FitResult) -> list[FrictionShare]:
             continue
         share, half = coulomb_share(result, columns, qd[:, j])
         low, share, high = np.clip([share - half, share, share + half], 0.0, 1.0)
-        found.append(FrictionShare(j + 1, float(share), float(low), float(high)))
-    return found
+        shares.append(FrictionShare(j + 1, float(share), float(low), float(high)))
+    return shares
 
 
 def coulomb_share(result: FitResult, columns: list[int], qd: FloatArray) -> tuple[float, float]:

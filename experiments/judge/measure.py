@@ -45,14 +45,14 @@ def _calibrate(result: FitResult, found: Measurement) -> str:
             f"Write {key} = {value} under [tolerance].")
 
 
-def _or_zero(result: FitResult, found: Measurement) -> str:
+def _or_zero(result: FitResult, measurement: Measurement) -> str:
     """Of the coupling of two links: when it is zero."""
     m = result.mechanism
-    p = m.parameters[m.column(found.name)] if found.name in m.names else None
+    p = m.parameters[m.column(measurement.name)] if measurement.name in m.names else None
     if p is None or p.term != "inertia" or p.at[0] == p.at[-1]:
         return ""
     i = p.at[0] + 1
-    return f", or --fix {found.name}=0 where joints {i} and {i + 1} share an axis"
+    return f", or --fix {measurement.name}=0 where joints {i} and {i + 1} share an axis"
 
 
 def _unit(result: FitResult, name: str) -> str:

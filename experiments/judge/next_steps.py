@@ -71,19 +71,19 @@ def with_names(step: str, files: Files | None) -> str:
     return step
 
 
-def next_step(found: Diagnosis) -> str:
+def next_step(diagnosis: Diagnosis) -> str:
     """One line: place, action and command."""
-    if found.verdict == "fit_failed":
+    if diagnosis.verdict == "fit_failed":
         return EACH
-    if found.verdict == "none":
+    if diagnosis.verdict == "none":
         return VALIDATE
-    if found.verdict == "named":
+    if diagnosis.verdict == "named":
         return ("Validate the extended model on new runs: legid diagnose RUN... --rig RIG --model-out MODEL.json, then "
                 "legid validate MODEL.json NEW_RUN... --rig RIG")
-    if found.verdict == "one_of" or found.remainder is None:
-        return (APART if found.causes else
+    if diagnosis.verdict == "one_of" or diagnosis.remainder is None:
+        return (APART if diagnosis.causes else
                 f"Record slow motion, fast motion, holds and free swings as separate runs: {SESSION}")
-    return _of_remainder(found.remainder)
+    return _of_remainder(diagnosis.remainder)
 
 
 def variable_of(law: str) -> str:
@@ -105,14 +105,14 @@ def _of_remainder(left: Remainder) -> str:
             f"{action.format(j=joint)}: {session}")
 
 
-def next_of_change(found: Change) -> str:
+def next_of_change(change: Change) -> str:
     """One line: what to do, and the command."""
-    if found.verdict == "fit_failed":
+    if change.verdict == "fit_failed":
         return EACH
-    if found.verdict == "no_change":
+    if change.verdict == "no_change":
         return "Go on with the model that you have; more or longer runs show smaller changes"
-    if found.verdict == "changed_unexplained":
+    if change.verdict == "changed_unexplained":
         return DIAGNOSE
-    if found.verdict == "one_of":
+    if change.verdict == "one_of":
         return APART
-    return ACTIONS[found.causes[0].kind]
+    return ACTIONS[change.causes[0].kind]

@@ -39,14 +39,14 @@ def uses_line(uses: Sequence[Use]) -> str:
     return f"{said} of the spread of what is measured, on one more run{''.join(by_speed)}" if said else ""
 
 
-def _error(one: TorqueError) -> str:
-    return f"{one.rms:.2g} {one.unit} {'at rest' if one.speed == 'rest' else one.speed} {_within(one.ci95)}"
+def _error(error: TorqueError) -> str:
+    return f"{error.rms:.2g} {error.unit} {'at rest' if error.speed == 'rest' else error.speed} {_within(error.ci95)}"
 
 
 def _within(ci95: tuple[float, float] | None, scale: float = 1.0) -> str:
     return f"[{', '.join(f'{scale * end:.2g}' for end in ci95)}]" if ci95 else "(too few runs for an interval)"
 
 
-def _words(one: Use) -> str:
-    share = f"to {100 * one.figure:.2g} %"
-    return f"predicts {one.horizon_s:.3g} s {share}" if one.use == "simulation" else f"gives the torque {share}"
+def _words(use: Use) -> str:
+    share = f"to {100 * use.figure:.2g} %"
+    return f"predicts {use.horizon_s:.3g} s {share}" if use.use == "simulation" else f"gives the torque {share}"

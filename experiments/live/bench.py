@@ -59,15 +59,15 @@ class Bench:
             self._plans = await asyncio.to_thread(self._scan)
 
     def _scan(self) -> list[PlanChoice]:
-        found = []
+        choices = []
         named = (path for path in self._plans_folder.glob("*.csv") if _is_text(path.name))
         for path in sorted(named, key=lambda p: (len(p.name), p.name)):
             try:
                 plan = read_plan(path)
             except (InputError, ValueError, OSError):
                 continue
-            found.append(PlanChoice(path, plan.duration_s, plan.peak_nm))
-        return found
+            choices.append(PlanChoice(path, plan.duration_s, plan.peak_nm))
+        return choices
 
     def runs(self) -> list[Path]:
         """Recorded runs, newest first; what is no file, or goes while it is looked at, is none."""

@@ -66,8 +66,8 @@ def _without_imus(s: MechanismSettings) -> Mechanism:
     told = {"actuated": actuated, "gravity_mps2": s.gravity_mps2, "hips": s.hips, "lever_arm": s.lever_arm_m,
             "links": s.links, "prismatic": s.prismatic, "rotor_inertia": rotors, "torque_offset": offsets,
             "velocity_scale": speeds, "voltage": s.input == "voltage"}
-    found = build(**{name: value for name, value in told.items() if name in takes})
-    if found.actuated != actuated:
+    mechanism = build(**{name: value for name, value in told.items() if name in takes})
+    if mechanism.actuated != actuated:
         raise ValueError(f"mechanism.actuated is {list(s.actuated)}, {s.model} is driven at joints "
-                         f"{[j + 1 for j in found.actuated]}")
-    return found
+                         f"{[j + 1 for j in mechanism.actuated]}")
+    return mechanism

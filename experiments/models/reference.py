@@ -21,28 +21,28 @@ from experiments.models.schema import LawValues, MechanismSettings, Model, Refer
 REMEDY = "give the runs that it was fitted to, or write it again: legid diagnose RUN... --model-out MODEL.json"
 
 
-def reference_values_of(found: Reference) -> ReferenceValues:
+def reference_values_of(reference: Reference) -> ReferenceValues:
     """The block of a reference."""
-    fit, structure, model = found.fit, found.structure, found.fit.model
+    fit, structure, model = reference.fit, reference.structure, reference.fit.model
     noise = {"torque": fit.noise.torque, "encoder": fit.noise.encoder, "gyro": fit.noise.gyro,
              "accel": fit.noise.accel.ravel()}
     if fit.noise.torque_correlation is not None:
         noise["torque_correlation"] = fit.noise.torque_correlation.ravel()
-    upper = np.triu_indices(found.known.score.size)
+    upper = np.triu_indices(reference.known.score.size)
     return ReferenceValues(
-        runs=found.runs, sensors=fit.options.sensors,  # type: ignore[arg-type]
+        runs=reference.runs, sensors=fit.options.sensors,  # type: ignore[arg-type]
         hold=model.hold, friction_velocity_radps=tuple(map(float, model.mechanism.velocity_scales)),
         followers=tuple(j + 1 for j in model.mechanism.followers),
         beta=tuple(map(float, model.beta)), reach=tuple((float(a), float(b)) for a, b in model.reach),
         noise={kind: tuple(float(x) if np.isfinite(x) else None for x in levels) for kind, levels in noise.items()},
         common=structure.common, own=structure.own, freedom=structure.freedom, unit=tuple(map(float, structure.unit)),
         drift=tuple(map(float, structure.drift)) if structure.drift.any() else (),
-        columns=fit.columns, score=tuple(map(float, found.known.score)),
-        information=found.known.information[upper].astype("<f8").tobytes(), levels=dict(found.noise.levels),
-        errors=dict(found.errors.levels),
+        columns=fit.columns, score=tuple(map(float, reference.known.score)),
+        information=reference.known.information[upper].astype("<f8").tobytes(), levels=dict(reference.noise.levels),
+        errors=dict(reference.errors.levels),
         law=tuple(LawValues(effect=effect, joint=joint + 1, size=tuple(map(float, one.size)), blocks=one.blocks,
                             std=tuple(float(x) if np.isfinite(x) else None for x in one.std))
-                  for (joint, effect), one in found.law.every().items()))
+                  for (joint, effect), one in reference.law.every().items()))
 
 
 def reference_of(model: Model, where: str, settings: MechanismSettings, options: FitOptions) -> Reference:

@@ -52,12 +52,12 @@ def _table(values: TorqueTable) -> Table:
                  np.array(values.std).reshape(shape), values.directed)
 
 
-def structure_values(found: Structure) -> StructureValues:
+def structure_values(structure: Structure) -> StructureValues:
     """The structure as a model file holds it."""
     return StructureValues(
         torques=tuple(JointTorque(joint=(one.law.joint or 0) + 1, constant=one.law.constant, noise_nm=one.noise_nm,
-                                  tables=tuple(map(_values, one.law.tables))) for one in found.torques),
-        removed=found.removed, removed_ci95=found.removed_ci95 or (-math.inf, math.inf))
+                                  tables=tuple(map(_values, one.law.tables))) for one in structure.torques),
+        removed=structure.removed, removed_ci95=structure.removed_ci95 or (-math.inf, math.inf))
 
 
 def _values(table: Table) -> TorqueTable:

@@ -26,67 +26,67 @@ DRAWN = 14
 """Effects in the figure, the likeliest first."""
 
 
-def change_text(found: Differing, files: Files | None = None) -> str:
+def change_text(differing: Differing, files: Files | None = None) -> str:
     """Text after `legid diagnose --against` and `legid compare`: the verdict first. The next step names `files`."""
-    first, second = found.sides
-    blocks = [with_names(found.headline.text, files)]
-    if found.causes:
-        blocks.append(f"From {first.name} to {second.name}:\n" + cause_table(found).text)
-    blocks += [*held_out_text(found), *free_runs_text(found)]
-    if found.candidates:
-        table = detectable_table(found, SHOWN)
+    first, second = differing.sides
+    blocks = [with_names(differing.headline.text, files)]
+    if differing.causes:
+        blocks.append(f"From {first.name} to {second.name}:\n" + cause_table(differing).text)
+    blocks += [*held_out_text(differing), *free_runs_text(differing)]
+    if differing.candidates:
+        table = detectable_table(differing, SHOWN)
         blocks += ["Smallest change that these runs would have shown with 80 % probability (the likeliest "
-                   f"{len(table.rows)} of {len(found.candidates)}):\n{table.text}", structure_text(found)]
-    blocks.append(f"Runs: {', '.join((*first.runs, *second.runs))}. ({found.wall_s:.0f} s)")
+                   f"{len(table.rows)} of {len(differing.candidates)}):\n{table.text}", structure_text(differing)]
+    blocks.append(f"Runs: {', '.join((*first.runs, *second.runs))}. ({differing.wall_s:.0f} s)")
     return "\n\n".join(blocks)
 
 
-def sessions_text(found: SessionsDocument) -> str:
+def sessions_text(document: SessionsDocument) -> str:
     """Text of a single pair; of several pairs the gravest verdict, and a table with one row a pair."""
-    if len(found.pairs) == 1:
-        return change_text(found.pairs[0])
-    rows = [[pair.a.name, pair.b.name, pair.verdict, pair.sentence] for pair in found.pairs]
-    return f"{found.headline.title}\n\n{Table(['from', 'to', 'verdict', 'difference'], rows).text}"
+    if len(document.pairs) == 1:
+        return change_text(document.pairs[0])
+    rows = [[pair.a.name, pair.b.name, pair.verdict, pair.sentence] for pair in document.pairs]
+    return f"{document.headline.title}\n\n{Table(['from', 'to', 'verdict', 'difference'], rows).text}"
 
 
-def cause_table(found: Answer) -> Table:
+def cause_table(answer: Answer) -> Table:
     """One row a size of a cause."""
     return Table(["effect", "a change of", "size", "value", "95 % interval", "unit"], [
         [label(c) if not k else "", c.kind if not k else "", s.name, f"{s.value:.4g}",
-         " .. ".join(f"{finite(x):.4g}" for x in s.ci95), s.unit] for c in found.causes
+         " .. ".join(f"{finite(x):.4g}" for x in s.ci95), s.unit] for c in answer.causes
         for k, s in enumerate(c.size)], {3, 4})
 
 
-def detectable_table(found: Answer, most: int | None = None) -> Table:
+def detectable_table(answer: Answer, most: int | None = None) -> Table:
     """One row an effect, the likeliest first, at most so many."""
     return Table(["effect", "size", "smallest change", "unit"], [
         [label(d), d.size_name, "none" if d.smallest_detectable is None else f"{d.smallest_detectable:.2g}", d.unit]
-        for d in found.candidates[:most]], {2})
+        for d in answer.candidates[:most]], {2})
 
 
-def held_out_text(found: Answer) -> list[str]:
+def held_out_text(answer: Answer) -> list[str]:
     """Sentence on how well the change predicts runs that it was not fitted to."""
-    if found.held_out is None:
+    if answer.held_out is None:
         return []
-    gains = found.held_out.gain
+    gains = answer.held_out.gain
     better = sum(finite(gain) > 0.0 for gain in gains)
     return [f"Fitted to the other runs, the change predicts {better} of {len(gains)} runs better than no change."]
 
 
-def free_runs_text(found: Answer) -> list[str]:
+def free_runs_text(answer: Answer) -> list[str]:
     """Sentence on how much more free runs err than left-out runs of the other session, where no change is found."""
-    rise = found.free_runs
-    if rise is None or found.verdict != "no_change":
+    rise = answer.free_runs
+    if rise is None or answer.verdict != "no_change":
         return []
     low, high = map(finite, rise.ci95)
     return [f"Free runs over 1 s err {rise.ratio:.2g} times [{low:.2g}, {high:.2g}] as much in {rise.column} as those "
             f"of left-out runs of the other session (p = {rise.p_value:.2g})."]
 
 
-def structure_text(found: Differing) -> str:
+def structure_text(differing: Differing) -> str:
     """Sentence on the part of the runs that no law explains."""
     return ("Unexplained structure within a session, in standard deviations of a size estimated from one run: {:.2g} "
-            "common to its runs, {:.2g} different in each run, drifts aside.".format(*found.structure))
+            "common to its runs, {:.2g} different in each run, drifts aside.".format(*differing.structure))
 
 
 def label(one: Cause | Candidate) -> str:
@@ -126,15 +126,15 @@ def change_sections(found: Differing, several: bool = False) -> list[Section]:
             *(replace(s, title=head + s.title) for s in more)]
 
 
-def drawn_changes(found: Answer) -> list[Candidate]:
+def drawn_changes(answer: Answer) -> list[Candidate]:
     """Those that the figure has."""
-    return [d for d in found.candidates if d.smallest_detectable][:DRAWN]
+    return [d for d in answer.candidates if d.smallest_detectable][:DRAWN]
 
 
-def change_plot(found: Answer, name: str) -> str:
+def change_plot(answer: Answer, name: str) -> str:
     """The likeliest changes with intervals, in units of the smallest change that would have shown; `name` is that of
     the pair."""
-    some = drawn_changes(found)
+    some = drawn_changes(answer)
 
     def paint(axes: Axes) -> None:
         paint_changes(axes, some)

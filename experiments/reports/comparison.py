@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 FIGURE_SECONDS = 12.0
 
 
-def parameter_table(found: ComparisonDocument) -> Table:
+def parameter_table(document: ComparisonDocument) -> Table:
     """One row a parameter."""
     return Table(["parameter", "A", "95 % interval", "B", "95 % interval", "z of B - A", "unit", "meaning"], [
         [p.name, *_cells(p.a), *_cells(p.b), "" if p.z is None else f"{p.z:+.1f}", p.unit, p.meaning]
-        for p in found.parameters], range(1, 6))
+        for p in document.parameters], range(1, 6))
 
 
 def _cells(side: Value | None) -> tuple[str, str]:
@@ -47,7 +47,7 @@ def _cells(side: Value | None) -> tuple[str, str]:
     return number(side.value, finite(side.std)), Estimate(side.value, finite(side.std), low, high).interval
 
 
-def horizon_errors_table(found: ComparisonDocument) -> Table:
+def horizon_errors_table(document: ComparisonDocument) -> Table:
     """One row a horizon and sensor."""
     def rms(value: float | None) -> str:
         return "diverged" if value is None else f"{value:.4g}"
@@ -55,7 +55,7 @@ def horizon_errors_table(found: ComparisonDocument) -> Table:
     return Table(["horizon", "sensor", "rms error of A", "of B", "B / A", "95 % interval", "better"], [
         [horizon_text(e.length_s), e.column, rms(e.a), rms(e.b), "" if e.ratio is None else f"{e.ratio:.3f}",
          "" if e.ratio_ci95 is None else f"{e.ratio_ci95[0]:.3f} .. {e.ratio_ci95[1]:.3f}", e.better or ""]
-        for e in found.errors], range(2, 6))
+        for e in document.errors], range(2, 6))
 
 
 def comparison_text(found: ComparisonDocument) -> str:
@@ -65,14 +65,14 @@ def comparison_text(found: ComparisonDocument) -> str:
                       horizon_errors_table(found).text])
 
 
-def write_comparison(path: Path | str, found: ComparisonDocument, model: str = "a rig",
+def write_comparison(path: Path | str, document: ComparisonDocument, model: str = "a rig",
                      table: PredictionTable | None = None) -> None:
     """Write the page of a comparison of two models of a mechanism called `model`. Raises `InputError` where that place
     cannot be written."""
-    count = len(found.runs)
-    write_result(path, found, " against ".join(name if name == file else f"{file} ({name})"
-                                               for name, file in zip(NAMES, found.models)),
-                 f"Two models of {model} on {count} run{'s' * (count != 1)}.", comparison_sections(found, table))
+    count = len(document.runs)
+    write_result(path, document, " against ".join(name if name == file else f"{file} ({name})"
+                                               for name, file in zip(NAMES, document.models)),
+                 f"Two models of {model} on {count} run{'s' * (count != 1)}.", comparison_sections(document, table))
 
 
 def comparison_sections(found: ComparisonDocument, table: PredictionTable | None) -> list[Section]:

@@ -69,31 +69,31 @@ def write_diagnosis(path: Path | str, found: DiagnosisDocument, kept: Diagnosis 
                  confirm_words(found), diagnosis_sections(found, kept), files)
 
 
-def confirm_words(found: DiagnosisDocument) -> str:
+def confirm_words(document: DiagnosisDocument) -> str:
     """Runs that the verdict depends on."""
-    used = len(found.runs.fit + found.runs.screen + found.runs.confirm)
-    if not found.confirm_runs:
+    used = len(document.runs.fit + document.runs.screen + document.runs.confirm)
+    if not document.confirm_runs:
         return f"From {used} runs." if used else ""
-    turns = " These were inconclusive, so every run was held out once." if found.rotations else ""
-    held_out = ", ".join(found.confirm_runs)
-    return f"From {used} runs, {len(found.confirm_runs)} of them held out: {held_out}.{turns}"
+    turns = " These were inconclusive, so every run was held out once." if document.rotations else ""
+    held_out = ", ".join(document.confirm_runs)
+    return f"From {used} runs, {len(document.confirm_runs)} of them held out: {held_out}.{turns}"
 
 
-def diagnosis_sections(found: DiagnosisDocument, kept: Diagnosis | None = None) -> list[Section]:
+def diagnosis_sections(document: DiagnosisDocument, kept: Diagnosis | None = None) -> list[Section]:
     """All sections, folded, in the order of the questions; those that have nothing to show are left out. Curves over
     time and space come from the result that was `kept`. One figure leads the page."""
-    kept = kept or Diagnosis(found.verdict, found.sentence)
-    uses = {"fitted; all causes were chosen by them": found.runs.fit,
-            "held out until the causes were chosen": found.runs.confirm}
+    kept = kept or Diagnosis(document.verdict, document.sentence)
+    uses = {"fitted; all causes were chosen by them": document.runs.fit,
+            "held out until the causes were chosen": document.runs.confirm}
     return fold(
-        Section(causes_title(found), (), [size_table(found.causes)] if found.causes else [], (),
-                [_about(cause) for cause in found.causes]),
-        structure_section(found, kept.structure), _sketch(kept), _budget(found), _errors(found, kept),
-        _candidates(found, kept), _signatures(kept), _traces(found, kept), _separability(kept),
-        _parameters(found, kept), Section("Next experiment", [*filter(None, [found.next_experiment])]),
-        _ruled_out(found),
-        untestable_section(found.not_testable),
-        Section("Runs", [*filter(None, [hold_words(found)])], [Table(["use", "runs"], [
+        Section(causes_title(document), (), [size_table(document.causes)] if document.causes else [], (),
+                [_about(cause) for cause in document.causes]),
+        structure_section(document, kept.structure), _sketch(kept), _budget(document), _errors(document, kept),
+        _candidates(document, kept), _signatures(kept), _traces(document, kept), _separability(kept),
+        _parameters(document, kept), Section("Next experiment", [*filter(None, [document.next_experiment])]),
+        _ruled_out(document),
+        untestable_section(document.not_testable),
+        Section("Runs", [*filter(None, [hold_words(document)])], [Table(["use", "runs"], [
             [use, ", ".join(names)] for use, names in uses.items() if names])] if any(uses.values()) else ()))
 
 
@@ -147,13 +147,13 @@ def _errors(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
                  leads=not kept.traces)])
 
 
-def _candidates(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
-    if not found.candidates:
+def _candidates(document: DiagnosisDocument, kept: Diagnosis) -> Section | None:
+    if not document.candidates:
         return None
     near = _neighbours(kept)
     rows = [[candidate_label(c), f"{c.score:.1f}", _gain(c.score**2), probability(c.p_value), size_text(c),
              detectable_text(c), c.unit, near.get(effect_label(c.effect, c.motor or c.joint), "")]
-            for c in found.candidates]
+            for c in document.candidates]
     return Section(
         "Candidates",
         ["Every effect of the library, scored individually; the nominal parameters may absorb part of it. "
@@ -194,13 +194,13 @@ def _signatures(kept: Diagnosis) -> Section:
     return Section("Signature", (), (), pictures, absorbed)
 
 
-def _traces(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
+def _traces(document: DiagnosisDocument, kept: Diagnosis) -> Section | None:
     if not kept.traces:
         return None
     first = kept.traces[0]
     shown = [column for column in first.measured if column in first.before and column in first.after]
     at = re.compile("|".join(rf"q{joint}_" for joint in _joints(kept)) or r"(?!)")
-    told = max(shown, key=lambda column: (bool(at.match(column)), column.startswith("q"), _excess(found, column)),
+    told = max(shown, key=lambda column: (bool(at.match(column)), column.startswith("q"), _excess(document, column)),
                default="")
     paper = on_paper(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}: measured, and simulated by the "
@@ -216,9 +216,9 @@ def _joints(kept: Diagnosis) -> list[int]:
     return [joint for joint in joints if joint is not None]
 
 
-def _excess(found: DiagnosisDocument, column: str) -> float:
+def _excess(document: DiagnosisDocument, column: str) -> float:
     """Error of the nominal model over that of noise alone."""
-    gain = found.sensors.get(column)
+    gain = document.sensors.get(column)
     return gain.before / max(gain.floor, 1e-300) if gain else 0.0
 
 
@@ -230,8 +230,8 @@ def _separability(kept: Diagnosis) -> Section | None:
         "or -1 these runs cannot tell the two apart. Columns are numbered like rows.")])
 
 
-def _parameters(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
-    table, given = parameter_table(found), found.parameters
+def _parameters(document: DiagnosisDocument, kept: Diagnosis) -> Section | None:
+    table, given = parameter_table(document), document.parameters
     if not table.rows:
         return None
     if kept.mechanism is not None:
@@ -247,9 +247,9 @@ def _parameters(found: DiagnosisDocument, kept: Diagnosis) -> Section | None:
                    [Picture(shift_plot(*pairs), "Parameters of the extended model against those of the nominal one.")])
 
 
-def _ruled_out(found: DiagnosisDocument) -> Section | None:
-    named = {(c.effect, c.joint) for c in found.causes}
-    rows = [[candidate_label(c), detectable_text(c), c.unit] for c in found.candidates
+def _ruled_out(document: DiagnosisDocument) -> Section | None:
+    named = {(c.effect, c.joint) for c in document.causes}
+    rows = [[candidate_label(c), detectable_text(c), c.unit] for c in document.candidates
             if c.p_value > ALPHA and (c.effect, c.joint) not in named]
     return Section(
         "Ruled out",

@@ -72,9 +72,9 @@ def candidate_label(candidate: Scored) -> str:
     return effect_label(candidate.effect, candidate.motor or candidate.joint)
 
 
-def hold_words(found: DiagnosisDocument) -> str:
+def hold_words(document: DiagnosisDocument) -> str:
     """Sentence on how torque was taken to act between samples; empty where nothing was fitted."""
-    return f"Torque acts between samples by the '{found.hold}' hold." if found.hold else ""
+    return f"Torque acts between samples by the '{document.hold}' hold." if document.hold else ""
 
 
 def error_table(sensors: Mapping[str, SensorGain], caption: str = "") -> Table:
@@ -84,12 +84,12 @@ def error_table(sensors: Mapping[str, SensorGain], caption: str = "") -> Table:
         for column, g in sensors.items()], {1, 2, 3}, caption)
 
 
-def gap_text(found: DiagnosisDocument) -> str:
+def gap_text(document: DiagnosisDocument) -> str:
     """The share of the gap that is closed over whole runs, and the ratio of errors by horizon; empty without both."""
     told = ", ".join(f"{finite(one.ratio):.2g} [{', '.join(f'{finite(end):.2g}' for end in one.ci95)}] over "
                      f"{f'{one.horizon_s:g} s' if one.horizon_s else 'whole runs'}"
-                     for one in found.gain.by_horizon or ())
-    return " ".join(filter(None, [share_text(found.sensors, found.gap_closed, found.gain.gap_closed_ci95),
+                     for one in document.gain.by_horizon or ())
+    return " ".join(filter(None, [share_text(document.sensors, document.gap_closed, document.gain.gap_closed_ci95),
                                   told and f"Error of the extended model over that of the nominal one: {told}."]))
 
 
@@ -125,23 +125,23 @@ def _left(closed: float, before: float) -> float:
     return float(max(before**2 - closed * (before**2 - 1.0), 0.0) ** 0.5)
 
 
-def budget_words(found: DiagnosisDocument) -> str:
+def budget_words(document: DiagnosisDocument) -> str:
     """Meaning of the budget's shares, and the reduction of the error."""
-    where = "all runs, each held out once" if found.rotations else "the held-out runs"
+    where = "all runs, each held out once" if document.rotations else "the held-out runs"
     words = f"Contributions to the mean squared free-run error of the nominal model, on {where}"
-    if found.error is None:
+    if document.error is None:
         return f"{words}:"
-    before, after = (inf if error is None else error for error in (found.error.before, found.error.after))
+    before, after = (inf if error is None else error for error in (document.error.before, document.error.after))
     return f"{words} (rms error {before:.2f} times that of noise alone, {after:.2f} with the causes found):"
 
 
-def budget_table(found: DiagnosisDocument) -> Table:
+def budget_table(document: DiagnosisDocument) -> Table:
     """One row for each part of the nominal model's error; together they are all of it."""
     names = {"remainder": "residual", "noise": "noise alone"}
     return Table(["part of the simulation's error", "share", "95 % interval"], [
         [names.get(row.what) or effect_label(row.effect or "", row.joint), f"{100 * finite(row.of_error):.1f} %",
          "{:.1f} to {:.1f} %".format(*(100 * finite(x) for x in row.of_error_ci95))]
-        for row in found.budget if row.what != "nominal"], {1, 2})
+        for row in document.budget if row.what != "nominal"], {1, 2})
 
 
 def rotation_words(found: DiagnosisDocument) -> str:
@@ -160,14 +160,14 @@ def rotation_table(found: DiagnosisDocument) -> Table:
         {2}, "every run held out once")
 
 
-def causes_title(found: DiagnosisDocument) -> str:
+def causes_title(document: DiagnosisDocument) -> str:
     """Title of the list of causes."""
-    return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
+    return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(document.verdict, "Causes")
 
 
-def parameter_table(found: DiagnosisDocument) -> Table:
+def parameter_table(document: DiagnosisDocument) -> Table:
     """The nominal parameters and, where a cause was found, the corrected ones."""
-    rows, given = [], found.parameters
+    rows, given = [], document.parameters
     for name, value in given.nominal.items():
         one = normal(finite(value), _std(given.nominal_std.get(name)))
         row = [name, number(one.value, one.std), one.interval]
@@ -188,15 +188,15 @@ def _std(value: Number) -> float:
     return inf if value is None else value
 
 
-def causes_text(found: DiagnosisDocument) -> str:
+def causes_text(document: DiagnosisDocument) -> str:
     """The causes with their sizes, under their title."""
-    return _titled(f"{causes_title(found)}:", size_table(found.causes))
+    return _titled(f"{causes_title(document)}:", size_table(document.causes))
 
 
-def errors_on_held_out(found: DiagnosisDocument) -> str:
+def errors_on_held_out(document: DiagnosisDocument) -> str:
     """The free-run errors on the held-out runs."""
-    return _titled(f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:",
-                   error_table(found.sensors))
+    return _titled(f"Free-run error (rms) on the held-out runs {', '.join(document.confirm_runs)}:",
+                   error_table(document.sensors))
 
 
 def _titled(title: str, table: Table, *after: str) -> str:
@@ -209,31 +209,31 @@ def short_diagnosis_text(found: DiagnosisDocument) -> str:
     return "\n\n".join(filter(None, ["\n".join(found.headline.lines), causes_text(found), errors_on_held_out(found)]))
 
 
-def diagnosis_text(found: DiagnosisDocument, files: Files | None = None) -> str:
+def diagnosis_text(document: DiagnosisDocument, files: Files | None = None) -> str:
     """Text after `legid diagnose`: the verdict first. The next step names `files`."""
-    used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(found.runs).items() if names)
+    used = "; ".join(f"{group} {', '.join(names)}" for group, names in asdict(document.runs).items() if names)
     blocks = [
-        with_names(found.headline.text, files),
-        _titled(structure_words(found.structure), structure_table(found.structure, found.force_unit), USE)
-        if found.structure else "",
-        _titled(budget_words(found), budget_table(found)),
-        _titled(rotation_words(found), rotation_table(found)) if found.budget and found.rotations else "",
-        causes_text(found),
-        _titled(PARAMETERS, parameter_table(found)) if found.parameters.extended else "",
-        _titled("Present, not material:", size_table(found.immaterial)),
-        "\n".join(filter(None, [errors_on_held_out(found), gap_text(found)])),
-        _candidates(found),
+        with_names(document.headline.text, files),
+        _titled(structure_words(document.structure), structure_table(document.structure, document.force_unit), USE)
+        if document.structure else "",
+        _titled(budget_words(document), budget_table(document)),
+        _titled(rotation_words(document), rotation_table(document)) if document.budget and document.rotations else "",
+        causes_text(document),
+        _titled(PARAMETERS, parameter_table(document)) if document.parameters.extended else "",
+        _titled("Present, not material:", size_table(document.immaterial)),
+        "\n".join(filter(None, [errors_on_held_out(document), gap_text(document)])),
+        _candidates(document),
         "\n".join(["Cannot be tested here:", *(f"  {effect_label(one.effect, one.joint)}: {one.why}"
-                                               for one in found.not_testable)]) if found.not_testable else "",
-        f"Next experiment: {found.next_experiment}" if found.next_experiment else "",
-        " ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(found), f"({found.wall_s:.0f} s)"]))]
+                                               for one in document.not_testable)]) if document.not_testable else "",
+        f"Next experiment: {document.next_experiment}" if document.next_experiment else "",
+        " ".join(filter(None, [f"Runs: {used}." * bool(used), hold_words(document), f"({document.wall_s:.0f} s)"]))]
     return "\n\n".join(filter(None, blocks))
 
 
-def _candidates(found: DiagnosisDocument) -> str:
-    chosen = {(cause.effect, cause.joint) for cause in found.causes}
+def _candidates(document: DiagnosisDocument) -> str:
+    chosen = {(cause.effect, cause.joint) for cause in document.causes}
     rows = [[candidate_label(c), f"{c.score:.1f}", probability(c.p_value), size_text(c), detectable_text(c), c.unit]
-            for c in found.candidates if (c.effect, c.joint) not in chosen][:RUNNERS_UP]
+            for c in document.candidates if (c.effect, c.joint) not in chosen][:RUNNERS_UP]
     return _titled("Next best effects, scored individually:" if chosen else
                    "Best effects of the library, scored individually:",
                    Table(["effect", "score", "p", "size", "smallest detectable", "unit"], rows, {1, 2, 3, 4}))

@@ -15,15 +15,15 @@ def _lost(row: Horizon) -> list[int]:
     return [row.blown_up, *([row.against.blown_up] if row.against else [])]
 
 
-def horizon_table(found: Sequence[Horizon]) -> Table:
+def horizon_table(horizons: Sequence[Horizon]) -> Table:
     """One row a horizon: for every joint the error of the model, of another one, of the last velocity kept, and of the
     smoothed motion itself."""
-    first = found[0]
+    first = horizons[0]
     kinds = ("model", "against") if first.against else ("model",)
     header = ["horizon", "pieces", "diverged"]
     header += [f"{column} {kind}" for column in first.rmse for kind in (*kinds, "last velocity")]
     rows = []
-    for row in found:
+    for row in horizons:
         cells = [f"{row.horizon_s:.3g} s", str(row.pieces), " / ".join(map(str, _lost(row)))]
         for column in first.rmse:
             kept = (row.rmse, *([row.against.rmse] if row.against else []), row.last_velocity)
@@ -34,12 +34,12 @@ def horizon_table(found: Sequence[Horizon]) -> Table:
     return Table(header, rows, range(1, len(header)))
 
 
-def horizon_flags(found: Sequence[Horizon]) -> list[str]:
+def horizon_flags(horizons: Sequence[Horizon]) -> list[str]:
     """Reasons not to rely on some errors; the last entry is whole segments."""
     flags = [f"at {row.horizon_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; each is replaced by "
-             "its initial state" for row in found[:-1]
+             "its initial state" for row in horizons[:-1]
              for name, lost in zip(("the model", "the other model"), _lost(row)) if lost]
-    worse = [row.horizon_s for row in found[:-1] if row.horizon_s <= 1.0 and any(
+    worse = [row.horizon_s for row in horizons[:-1] if row.horizon_s <= 1.0 and any(
         not finite(row.rmse[c]) < finite(row.last_velocity[c]) for c in row.rmse)]
     flags += [f"at {h:g} s a constant velocity predicts a joint better than the model" for h in worse]
     return flags
@@ -50,10 +50,10 @@ def horizons_text(found: Sequence[Horizon]) -> str:
     return "\n".join(["", TITLE, horizon_table(found).text, *(f"warning: {flag}" for flag in horizon_flags(found))])
 
 
-def horizons_section(found: Sequence[Horizon]) -> Section:
+def horizons_section(horizons: Sequence[Horizon]) -> Section:
     """The same for a page."""
     return Section(
         "How far ahead the model predicts",
         ["Free runs over pieces of a horizon, each from the model's own smoothed state: rms errors in the unit of the "
          "column, next to those of the last velocity kept. Noise alone: the readings about the smoothed motion."],
-        [horizon_table(found)], notes=horizon_flags(found))
+        [horizon_table(horizons)], notes=horizon_flags(horizons))

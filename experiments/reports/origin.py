@@ -40,14 +40,14 @@ class Result(Protocol):
         """Its files."""
 
 
-def write_result(path: Path | str, found: Result, title: str, summary: str, sections: Sequence[Section],
+def write_result(path: Path | str, result: Result, title: str, summary: str, sections: Sequence[Section],
                  files: Files | None = None) -> None:
     """Write the page of a document: what it says first in a box, `sections`, its files. The next step names `files`.
 
     Raises `InputError` where that place cannot be written.
     """
-    origin, head = found.provenance or origin_of(), found.headline
-    write_page(path, title, summary, [*sections, origin_section(origin, getattr(found, "damaged", ()))], origin,
+    origin, head = result.provenance or origin_of(), result.headline
+    write_page(path, title, summary, [*sections, origin_section(origin, getattr(result, "damaged", ()))], origin,
                replace(head, action=with_names(head.action, files)))
 
 

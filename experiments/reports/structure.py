@@ -22,19 +22,19 @@ NOT_COVERED = ("The bands are 95 % by the scatter of samples and between runs. T
 USE = "--model-out saves it under `structure`; simulate, validate and compare use it."
 
 
-def structure_words(found: Learnt) -> str:
+def structure_words(learnt: Learnt) -> str:
     """Sentences about the share of the error that the structure removes, with its interval, and its place."""
-    low, high = map(finite, found.removed_ci95 or (None, None))
-    return (f"A function of the state that repeats in all runs removes {100.0 * found.removed:.0f} % "
+    low, high = map(finite, learnt.removed_ci95 or (None, None))
+    return (f"A function of the state that repeats in all runs removes {100.0 * learnt.removed:.0f} % "
             f"[{100.0 * low:.0f}, {100.0 * high:.0f}] of the free-run error on left-out runs. It is largest at joint "
-            f"{found.where[0].joint}, as a function of {found.where[0].depends_on}.")
+            f"{learnt.where[0].joint}, as a function of {learnt.where[0].depends_on}.")
 
 
-def structure_table(found: Learnt, unit: str) -> Table:
+def structure_table(learnt: Learnt, unit: str) -> Table:
     """One row a torque, the largest first."""
     return Table(["joint", "function of", "rms torque", "noise level"],
                  [[str(one.joint), one.depends_on, f"{one.rms_nm:.3g} {unit}", f"{one.noise_nm:.3g} {unit}"]
-                  for one in found.where], {2, 3}, "rms over the samples")
+                  for one in learnt.where], {2, 3}, "rms over the samples")
 
 
 def structure_section(found: DiagnosisDocument, kept: Structure | None) -> Section | None:
@@ -48,17 +48,17 @@ def structure_section(found: DiagnosisDocument, kept: Structure | None) -> Secti
                    [structure_table(found.structure, found.force_unit)], pictures, [NOT_COVERED] if pictures else [])
 
 
-def _curves(found: Structure) -> Iterator[tuple[LearntTorque, TorqueTable]]:
+def _curves(structure: Structure) -> Iterator[tuple[LearntTorque, TorqueTable]]:
     """Tables of one variable."""
-    for one in found.torques:
+    for one in structure.torques:
         yield from ((one, table) for table in one.law.tables if len(table.variables) == 1)
 
 
-def _curve(one: LearntTorque, table: TorqueTable, found: Structure) -> str:
+def _curve(torque: LearntTorque, table: TorqueTable, structure: Structure) -> str:
     """The table over its variable with its band, and the residuals less the other tables."""
-    joint, (variable,), (knots,) = one.law.joint or 0, table.variables, table.knots
-    at = found.samples.at
-    alone = found.samples.residual[:, joint] - one.law.torque(at) + table.torque(at, joint)
+    joint, (variable,), (knots,) = torque.law.joint or 0, table.variables, table.knots
+    at = structure.samples.at
+    alone = structure.samples.residual[:, joint] - torque.law.torque(at) + table.torque(at, joint)
     x, y = variable.of(at), alone * np.sign(at.sign[joint]) if table.directed else alone
     centres, means, errors = _binned(x, y)
 
@@ -71,7 +71,7 @@ def _curve(one: LearntTorque, table: TorqueTable, found: Structure) -> str:
                           label="95 % band", zorder=2)
         axes.plot(knots, table.values, color=ORANGE, linewidth=1.6, label="structure", zorder=4)
         sense = " in the direction of motion" if table.directed else ""
-        unit = found.mechanism.unit
+        unit = structure.mechanism.unit
         finish(axes, 3, f"{variable.kind} of joint {variable.joint + 1} [{unit(UNITS[variable.kind])}]",
                f"torque{sense} [{unit('N m')}]")
 

@@ -23,49 +23,49 @@ PICTURE_SECONDS = 10.0
 INITIAL = "Initial states, estimated from the readings by the model's smoother:"
 
 
-def state_table(found: Sequence[Segment]) -> Table:
+def state_table(segments: Sequence[Segment]) -> Table:
     """One row a segment: its start in the run's own time and every signal there."""
-    header = ["run", "start [s]", *found[0].initial_state]
+    header = ["run", "start [s]", *segments[0].initial_state]
     return Table(header, [[one.run, "" if one.start_s is None else f"{one.start_s:.3f}",
-                           *(f"{finite(x):.5g}" for x in one.initial_state.values())] for one in found],
+                           *(f"{finite(x):.5g}" for x in one.initial_state.values())] for one in segments],
                  range(1, len(header)), INITIAL.removesuffix(":"))
 
 
-def segment_table(found: Sequence[Segment], caption: str = "") -> Table:
+def segment_table(segments: Sequence[Segment], caption: str = "") -> Table:
     """One row a segment: SSE and RMSE of every signal."""
-    signals = list(found[0].rmse)
+    signals = list(segments[0].rmse)
     header = ["run", "seconds"] + [f"{kind} {name}" for name in signals for kind in ("SSE", "RMSE")]
     return Table(header, [[one.run, f"{one.horizon_s:.1f}",
                            *(f"{finite(values[name]):.4g}" for name in signals
-                             for values in (one.summed_squared_error, one.rmse))] for one in found],
+                             for values in (one.summed_squared_error, one.rmse))] for one in segments],
                  range(1, len(header)), caption)
 
 
-def fit_table(found: Sequence[RunFit]) -> Table:
+def fit_table(run_fits: Sequence[RunFit]) -> Table:
     """One row a sensor of a run."""
     def share(value: float | None) -> str:
         return f"{value:.1f} %" if value is not None and np.isfinite(value) else "diverged"
 
     return Table(["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s"], [
-        [one.run, name, share(value), share(one.short[name])] for one in found for name, value in one.whole.items()],
+        [one.run, name, share(value), share(one.short[name])] for one in run_fits for name, value in one.whole.items()],
         {2, 3}, "Fit: 100 % is exact, 0 % no better than the mean")
 
 
-def validation_text(found: ValidationDocument) -> str:
+def validation_text(document: ValidationDocument) -> str:
     """Errors of whole runs, as `legid validate` prints them."""
-    unit = unit_of(found.runs[0].rmse)
-    lines = [segment_table(found.runs).text, "", fit_table(found.fit_percent).text, "",
+    unit = unit_of(document.runs[0].rmse)
+    lines = [segment_table(document.runs).text, "", fit_table(document.fit_percent).text, "",
              "fit: 100 % is exact, 0 % no better than the mean.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s.",
-             "", INITIAL, state_table(found.runs).text]
-    lines += [f"{one.run}: the simulation diverged" for one in found.runs if one.diverged]
+             "", INITIAL, state_table(document.runs).text]
+    lines += [f"{one.run}: the simulation diverged" for one in document.runs if one.diverged]
     return "\n".join(lines)
 
 
-def whole_validation_text(found: ValidationDocument, files: Files | None = None) -> str:
+def whole_validation_text(document: ValidationDocument, files: Files | None = None) -> str:
     """Text after `legid validate`. The next step names `files`."""
-    return "\n".join([with_names(found.headline.text, files), "", validation_text(found),
-                      horizons_text(found.horizons), *([walk_text(found.walk)] if found.walk else [])])
+    return "\n".join([with_names(document.headline.text, files), "", validation_text(document),
+                      horizons_text(document.horizons), *([walk_text(document.walk)] if document.walk else [])])
 
 
 def unit_of(by_signal: Container[str]) -> str:
@@ -85,25 +85,25 @@ def validation_picture(validation: Validation) -> str:
     return plot_lines(validation.time_s[part] - validation.time_s[0], lines, label)
 
 
-def validation_section(found: ValidationDocument, table: PredictionTable | None) -> Section:
+def validation_section(document: ValidationDocument, table: PredictionTable | None) -> Section:
     """Table of all runs, and figures of the first in `table`. The joint with the worst fit leads the page."""
-    unit = unit_of(found.runs[0].rmse)
-    notes = [f"{one.run}: the simulation diverged." for one in found.runs if one.diverged]
-    tables = [fit_table(found.fit_percent), segment_table(found.runs), state_table(found.runs)]
+    unit = unit_of(document.runs[0].rmse)
+    notes = [f"{one.run}: the simulation diverged." for one in document.runs if one.diverged]
+    tables = [fit_table(document.fit_percent), segment_table(document.runs), state_table(document.runs)]
     return Section(
         "Free-run simulation against validation data",
         ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "
          "the fit has not seen test the model. "
          f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
-         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, _pictures(found, table) if table else (),
+         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, _pictures(document, table) if table else (),
         notes, folded=True)
 
 
-def _pictures(found: ValidationDocument, table: PredictionTable) -> list[Picture]:
+def _pictures(document: ValidationDocument, table: PredictionTable) -> list[Picture]:
     """Motion and error of each joint in the first segment."""
     first = validations_of(table)[0]
     unit = unit_of(first.sums)
-    fits = found.fit_percent[0].whole
+    fits = document.fit_percent[0].whole
     worst = min(range(first.q.shape[1]), key=lambda j: finite(fits.get(f"q{j + 1}_{unit}", np.inf)))
     pictures = []
     for j in range(first.q.shape[1]):

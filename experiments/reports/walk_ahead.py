@@ -8,11 +8,11 @@ from experiments.reports.html import Section, Table
 TITLE = "Free runs across touchdowns, whose instants are the record's, with the impact map (rms in the last step):"
 
 
-def walk_table(found: Walk) -> Table:
+def walk_table(walk: Walk) -> Table:
     """One row a number of steps."""
     rows = [[str(a.steps), str(a.pieces), str(a.fell),
-             *("all fell" if x is None else f"{x:.3g}" for x in a.rmse.values())] for a in found.ahead]
-    header = ["steps", "pieces", "fell", *(found.ahead[0].rmse if found.ahead else ())]
+             *("all fell" if x is None else f"{x:.3g}" for x in a.rmse.values())] for a in walk.ahead]
+    header = ["steps", "pieces", "fell", *(walk.ahead[0].rmse if walk.ahead else ())]
     return Table(header, rows, range(len(header)))
 
 
@@ -24,12 +24,12 @@ def fall_text(run: Walked) -> str:
             f"of {run.steps}; later steps are not compared")
 
 
-def walk_text(found: Walk) -> str:
+def walk_text(walk: Walk) -> str:
     """Text for a person."""
-    return "\n".join(["", TITLE, walk_table(found).text, *map(fall_text, found.runs)])
+    return "\n".join(["", TITLE, walk_table(walk).text, *map(fall_text, walk.runs)])
 
 
-def walk_section(found: Walk) -> Section:
+def walk_section(walk: Walk) -> Section:
     """The same for a page."""
-    return Section("How many steps ahead the model predicts", [TITLE], [walk_table(found)],
-                   notes=[*map(fall_text, found.runs)])
+    return Section("How many steps ahead the model predicts", [TITLE], [walk_table(walk)],
+                   notes=[*map(fall_text, walk.runs)])

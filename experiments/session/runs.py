@@ -31,13 +31,13 @@ def load_runs(paths: Sequence[Path | str], rig: Rig, damaged: bool = False) -> t
     return tuple(driven(require_whole(data, damaged), rig) for data in read)
 
 
-def _averaged(path: Path | str, rig: Rig, own: Dataset, rate_hz: float) -> Dataset:
-    """The run on a slower grid than its `own`."""
-    text = f"is averaged from {own.rate_hz:g} to {rate_hz:g} samples a second, the lowest rate of these runs"
-    found = _read(path, rig, rate_hz)
-    if own.rate_hz < SAME_RATE * rate_hz:
-        return found
-    return replace(found, flags=(*(flag for flag in found.flags if flag.kind != "grid"), Flag("grid", text)))
+def _averaged(path: Path | str, rig: Rig, data: Dataset, rate_hz: float) -> Dataset:
+    """The run on a slower grid than its `data`."""
+    text = f"is averaged from {data.rate_hz:g} to {rate_hz:g} samples a second, the lowest rate of these runs"
+    data = _read(path, rig, rate_hz)
+    if data.rate_hz < SAME_RATE * rate_hz:
+        return data
+    return replace(data, flags=(*(flag for flag in data.flags if flag.kind != "grid"), Flag("grid", text)))
 
 
 def _read(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Dataset:

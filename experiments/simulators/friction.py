@@ -48,12 +48,12 @@ def clips_of(joint: JointParts, inverse_inertia: float) -> list[Clip]:
     own = 1.0 / inverse_inertia
     slopes = [share / (width * joint.smoothing) for share, width in shares]
     lacking = max(0.0, 0.5 * STEP_S - own / (level * sum(slopes)))
-    found = []
+    clips = []
     for (share, _), slope in zip(shares, slopes):
         added = max(SHARE * own * share, level * slope * lacking)
         d = added * inverse_inertia / (1.0 + added * inverse_inertia)
-        found.append(Clip(share, d, slope / added * d))
-    return found
+        clips.append(Clip(share, d, slope / added * d))
+    return clips
 
 
 def solver_numbers(clip: Clip, level: float) -> tuple[str, str]:

@@ -147,7 +147,7 @@ def _links(model: Any, names: list[str | None], where: str) -> list[Link]:
     if not model.njnt:
         raise InputError(where, "has no hinge", PLANAR)
     carried = _carried(model)
-    found: list[Link] = []
+    links: list[Link] = []
     before, last = np.zeros(3), 0
     for j in range(model.njnt):
         body, joint = int(model.jnt_bodyid[j]), model.joint(j)
@@ -160,14 +160,14 @@ def _links(model: Any, names: list[str | None], where: str) -> list[Link]:
         if mass < NO_MASS:
             raise InputError(where, f"body {name} has no mass", PLANAR)
         anchor, axis = data.xanchor[j].copy(), data.xaxis[j].copy()
-        found.append(Link(
+        links.append(Link(
             name, anchor - before, axis, centre - anchor, mass, inertia, j in driven, joint.name,
             float(joint.damping[0]), float(joint.frictionloss[0]), float(joint.armature[0]),
             float(np.ravel(joint.stiffness)[0]), float(model.qpos_spring[model.jnt_qposadr[j]])))
         before, last = anchor, body
-        if abs(abs(float(axis @ found[0].axis)) - 1.0) > 1e-3:
-            raise InputError(where, f"turns {name} about another axis than {found[0].name}", PLANAR)
-    return found
+        if abs(abs(float(axis @ links[0].axis)) - 1.0) > 1e-3:
+            raise InputError(where, f"turns {name} about another axis than {links[0].name}", PLANAR)
+    return links
 
 
 def _carried(model: Any) -> list[int]:

@@ -96,17 +96,17 @@ def _type(slides: bool, limited: bool) -> str:
     return "revolute" if limited else "continuous"
 
 
-def _limit(found: ET.Element, limit: JointLimits) -> None:
+def _limit(element: ET.Element, limit: JointLimits) -> None:
     """The joint's limits, and a safety controller that keeps them.
 
     It bounds the speed by k_position times the distance to an angle's limit, so the joint decelerates by k_position
     times the speed: k_position is stop_radps2 over the speed's limit. It bounds the torque by k_velocity times what is
     left of the speed: k_velocity is the torque's limit over the speed's, so a joint at rest has all of it.
     """
-    ET.SubElement(found, "limit", lower=repr(-limit.angle), upper=repr(limit.angle), effort=repr(limit.torque),
+    ET.SubElement(element, "limit", lower=repr(-limit.angle), upper=repr(limit.angle), effort=repr(limit.torque),
                   velocity=repr(limit.speed))
     if limit.torque:
-        ET.SubElement(found, "safety_controller", soft_lower_limit=repr(-limit.angle),
+        ET.SubElement(element, "safety_controller", soft_lower_limit=repr(-limit.angle),
                       soft_upper_limit=repr(limit.angle), k_position=f"{limit.stop_radps2 / limit.speed:.9g}",
                       k_velocity=f"{limit.torque / limit.speed:.9g}")
 

@@ -229,11 +229,11 @@ def _score(setup: Setup, result: FitResult) -> float:
     return predict_filtered([model], signals, setup.options, SHORT_S).score(SHORT_S)
 
 
-def _found_smoothing(stated: Mechanism, found: Mechanism) -> list[Choice]:
+def _found_smoothing(stated: Mechanism, mechanism: Mechanism) -> list[Choice]:
     """The friction smoothing velocities of a fit, where they are not the ones stated."""
-    if np.array_equal(found.velocity_scales, stated.velocity_scales):
+    if np.array_equal(mechanism.velocity_scales, stated.velocity_scales):
         return []
-    value = tuple(float(f"{speed:.2g}") for speed in found.velocity_scales)
+    value = tuple(float(f"{speed:.2g}") for speed in mechanism.velocity_scales)
     return [Choice("terms", "friction_velocity_radps", value, "friction that takes its full level over that speed",
                    "the likeliest of speeds from the default up")]
 

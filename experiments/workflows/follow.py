@@ -44,11 +44,11 @@ def follow_commands(model: Model, plan: Path | str, rig: Rig, where: str, start:
         raise InputError("--start", f"needs {m.n} finite angles", "give one for every joint")
     rate_hz = (time_s.size - 1) / float(time_s[-1])
     loops = {j: rig.servo.loop(k, rig.mechanism.input == "voltage") for k, j in enumerate(driven)}
-    told = Dataset("plan", rate_hz, time_s, table.columns, loops=loops)
+    data = Dataset("plan", rate_hz, time_s, table.columns, loops=loops)
     still = np.zeros((time_s.size, m.n))
     imus = [name for k in range(len(m.imus) if model.mechanism.has_imu else 0) for name in imu_columns(k)]
     signals = SignalSet("plan", rate_hz, time_s, still + q0, still, dict.fromkeys(imus, np.zeros(time_s.size)),
-                        commands=commands_of(told, m.n, slice(0, time_s.size)))
+                        commands=commands_of(data, m.n, slice(0, time_s.size)))
     noise = Noise(np.ones(m.n), np.ones(m.n))
     state = State(Latents(still + q0, still, still), fitted.parameters, noise, np.zeros((fitted.parameters.size,) * 2))
     run = free_run(fitted.problem([signals]), state)
@@ -59,4 +59,4 @@ def follow_commands(model: Model, plan: Path | str, rig: Rig, where: str, start:
     for k in range(len(imus) // 3):
         columns |= {name: run.readings[channel] for name, channel in zip(imu_columns(k), imu_channels(k))}
     columns |= {command_columns(j - 1)[0]: table.columns[command_columns(j - 1)[0]] for j in driven}
-    return replace(told, name=f"simulated by {where}", columns=columns)
+    return replace(data, name=f"simulated by {where}", columns=columns)

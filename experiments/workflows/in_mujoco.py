@@ -53,12 +53,12 @@ def compared_text(report: ValidationReport) -> str:
 
 def starts_of(model: Model, prepared: Prepared) -> list[Start]:
     """First state of each prepared run by the model's smoother. Raises `FitError`."""
-    found, session_s, predictor = [], 0.0, fitted_model_of(model)
+    starts, session_s, predictor = [], 0.0, fitted_model_of(model)
     for data in progress(prepared.setup.datasets, "smoothing", unit="run"):
         one = smooth(predictor, data, prepared.setup.options, session_s)
         session_s += one.problem.total * one.problem.dt
-        found.append(Start(data.name.split(".")[0], one.state.x.q[0].tolist(), one.state.x.v[0].tolist()))
-    return found
+        starts.append(Start(data.name.split(".")[0], one.state.x.q[0].tolist(), one.state.x.v[0].tolist()))
+    return starts
 
 
 def _rerun(leg: ExportedLeg, run: PredictedRun, smoothed: SmoothedRun, session_s: float) -> PredictedRun:

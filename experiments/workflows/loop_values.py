@@ -174,18 +174,18 @@ def loop_findings(result: FitResult, stated: Servo) -> list[Finding]:
     return [Finding("assumption", "run_note", text) for text in texts]
 
 
-def _told(one: LoopTerm, mechanism: Mechanism) -> str:
+def _told(term: LoopTerm, mechanism: Mechanism) -> str:
     unit = mechanism.force_unit
-    name = f"joint {one.joint + 1}"
-    size, low, high = one.value, one.value - one.half, one.value + one.half
-    if one.key == "delay_s" and one.half > 1.0:  # the rig file takes no delay of more than a second
+    name = f"joint {term.joint + 1}"
+    size, low, high = term.value, term.value - term.half, term.value + term.half
+    if term.key == "delay_s" and term.half > 1.0:  # the rig file takes no delay of more than a second
         return f"these runs do not show how late commands of {name} act; servo.delay_s states it"
-    if one.key == "delay_s":
-        return f"commands of {name} act {1e3 * size:.3g} ms late, +-{1e3 * one.half:.2g} ms, by this motion; corrected"
-    units = {"limit": unit, "integral": f"{unit}/(rad s)", "damping": f"{unit} s/rad"}[one.key]
+    if term.key == "delay_s":
+        return f"commands of {name} act {1e3 * size:.3g} ms late, +-{1e3 * term.half:.2g} ms, by this motion; corrected"
+    units = {"limit": unit, "integral": f"{unit}/(rad s)", "damping": f"{unit} s/rad"}[term.key]
     told = f"{size:.4g} [{low:.4g}, {high:.4g}] {units}"
-    if one.found:
+    if term.found:
         return {"limit": f"the loop of {name} gives at most {told}", "damping": f"the loop of {name} damps by {told}",
-                "integral": f"the loop of {name} has an integral of {told}"}[one.key]
-    return (f"these runs do not show {'an' if one.key == 'integral' else 'a'} {one.key} of {name}'s loop: {told}; "
-            f"servo.{one.key} states it")
+                "integral": f"the loop of {name} has an integral of {told}"}[term.key]
+    return (f"these runs do not show {'an' if term.key == 'integral' else 'a'} {term.key} of {name}'s loop: {told}; "
+            f"servo.{term.key} states it")

@@ -223,11 +223,11 @@ def _choices(best: Times, start: Times, tried: Mapping[Times, Trial]) -> list[Ch
     """Entries of `best` that differ from those of the `start`, with what each changes."""
     parts = {"rate_hz": "rate_hz", "hold": "hold", "control_period_s": "hold", "torque_delay_s": "delay_s"}
     before = start.entries()
-    found = []
+    choices = []
     for (table, key), value in best.entries().items():
         if value == before.get((table, key)):
             continue
         back = tried.get(best._replace(**{parts[key]: getattr(start, parts[key])}), tried[start])
-        found.append(Choice(table, key, value, WHY[key],
+        choices.append(Choice(table, key, value, WHY[key],
                             f"error of held-out runs {errors_of(back)} -> {errors_of(tried[best])}"))
-    return found
+    return choices

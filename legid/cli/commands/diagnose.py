@@ -69,11 +69,11 @@ def run(args: argparse.Namespace) -> int:
 def _diagnosed(args: argparse.Namespace, paths: list[str], chosen: ChosenRig) -> legid.Diagnosis:
     runs = legid.load(paths, chosen, args.damaged)
     with stages("diagnosing") as show:
-        found = legid.diagnose(runs, chosen, args.seed, args.reference, show, args.workers, args.material,
+        diagnosis = legid.diagnose(runs, chosen, args.seed, args.reference, show, args.workers, args.material,
                                dict(args.fix))
-    for text in found.prepared.warnings if found.failed else ():  # else the answer has them
+    for text in diagnosis.prepared.warnings if diagnosis.failed else ():  # else the answer has them
         warn(text)
-    return found
+    return diagnosis
 
 
 def _changed(args: argparse.Namespace, paths: list[str], chosen: ChosenRig) -> legid.Change:
