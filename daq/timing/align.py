@@ -295,7 +295,7 @@ def _imu_settings(raw: RawRun) -> Imu | None:
         return None
     try:
         imu = msgspec.convert({"odr_hz": facts.get("rate_hz"), "cutoff_hz": facts.get("cutoff_hz"),
-                                 "stamped": facts["stamped"]}, Imu)
+                               "stamped": facts["stamped"]}, Imu)
     except msgspec.ValidationError as error:
         raise unusable(raw, f"has settings of its IMU that cannot be: {error}") from None
     if imu.lack is not None:

@@ -244,8 +244,8 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
         own = scored.contrast.measured(first, first[:, :0])
         change, half = float(own.size()[0]), float(stdtrit(scored.freedom, 0.975)) * _std(own)
         detectable = Detectable(group.effect, group.joint, group.names[0], group.units[0],
-                         wanted * _std(scored.contrast.along(first)), change, (change - half, change + half),
-                         scored.p_value(k))
+                                wanted * _std(scored.contrast.along(first)), change, (change - half, change + half),
+                                scored.p_value(k))
         key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
         if key not in found or detectable.p_value < found[key].p_value:
             found[key] = detectable

@@ -109,7 +109,7 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
 def simulates_best(explanations: Sequence[Explanation]) -> Explanation | None:
     """The one with the least error of free runs, of those without a shape at a limit where it is another thing."""
     answers = [e for e in explanations if not any(effect.strict and effect.at_limits(size).any()
-                                           for effect, size in zip(e.model.effects, e.model.sizes()))]
+                                                  for effect, size in zip(e.model.effects, e.model.sizes()))]
     return min(answers, key=lambda e: e.error, default=None)
 
 

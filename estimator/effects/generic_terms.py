@@ -109,7 +109,7 @@ class GenericReading(Effect):
 def battery(mechanism: Mechanism, has_imu: bool, encoders: Sequence[int] | None = None) -> list[Effect]:
     """All generic terms that this rig can test; `encoders` as for `library`."""
     effects: list[Effect] = [GenericTorque(j, label, law) for j in range(mechanism.n)
-                           for label, law in TORQUE_LAWS.items()]
+                             for label, law in TORQUE_LAWS.items()]
     readable = range(mechanism.n) if encoders is None else encoders
     channels = [*IMU_CHANNELS, *map(encoder_of, readable[-1:])] if has_imu else [encoder_of(j) for j in readable]
     effects += [GenericReading(c, label, law) for c in channels for label, law in READINGS.items()]

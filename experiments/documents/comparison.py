@@ -80,7 +80,7 @@ class ComparisonDocument(Document, kw_only=True):
 
 def _value(estimate: Estimate | None) -> Value | None:
     return None if estimate is None else Value(value=estimate.value, std=known(estimate.std),
-                                          ci95=(known(estimate.low), known(estimate.high)))
+                                               ci95=(known(estimate.low), known(estimate.high)))
 
 
 def _errors(e: HorizonError) -> ErrorPair:

@@ -60,18 +60,18 @@ def _findings(result: FitResult) -> list[Finding]:
             "" if result.method == "shooting" else " and the intervals are too narrow"
         if over := [f"joint {j} ({r:.2f})" for j, r in _structure(result).items() if r > STRUCTURE]:
             findings.append(Finding("doubt", "torque_residual", f"the torque residual of {', '.join(over)} is "
-                                 f"autocorrelated (limit {STRUCTURE:g}): the model is missing something{allowed}"))
+                                    f"autocorrelated (limit {STRUCTURE:g}): the model is missing something{allowed}"))
         findings += _sensor_findings(result)
         findings += _repeating_torques(result)
         findings += _omitted(result)
     if held:
         findings = [replace(one, role="fact", text="the tolerances in the intervals hold this: "
-                         f"{one.text.partition(': ')[0]}") if one.kind in HELD else one for one in findings]
+                            f"{one.text.partition(': ')[0]}") if one.kind in HELD else one for one in findings]
     findings += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
     findings += _unknown(result)
     if result.undetermined:
         findings.append(Finding("doubt", "undetermined",
-                             f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
+                                f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
     return findings
 
 
@@ -135,7 +135,7 @@ def _sensor_findings(result: FitResult) -> list[Finding]:
            for name, residuals in residuals_of(result).items() if not name.startswith("torque")}
     if over := [f"{name} ({r:.2f})" for name, r in far.items() if r > STRONG]:
         findings.append(Finding("doubt", "sensor_residual", f"the residual of {', '.join(over)} is autocorrelated "
-                             f"(limit {STRONG:g})"))
+                                f"(limit {STRONG:g})"))
     return findings
 
 

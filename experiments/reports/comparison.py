@@ -71,7 +71,7 @@ def write_comparison(path: Path | str, document: ComparisonDocument, model: str 
     cannot be written."""
     count = len(document.runs)
     write_result(path, document, " against ".join(name if name == file else f"{file} ({name})"
-                                               for name, file in zip(NAMES, document.models)),
+                                                  for name, file in zip(NAMES, document.models)),
                  f"Two models of {model} on {count} run{'s' * (count != 1)}.", comparison_sections(document, table))
 
 

@@ -229,5 +229,5 @@ def _choices(best: Times, start: Times, tried: Mapping[Times, Trial]) -> list[Ch
             continue
         back = tried.get(best._replace(**{parts[key]: getattr(start, parts[key])}), tried[start])
         choices.append(Choice(table, key, value, WHY[key],
-                            f"error of held-out runs {errors_of(back)} -> {errors_of(tried[best])}"))
+                              f"error of held-out runs {errors_of(back)} -> {errors_of(tried[best])}"))
     return choices

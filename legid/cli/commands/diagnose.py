@@ -70,7 +70,7 @@ def _diagnosed(args: argparse.Namespace, paths: list[str], chosen: ChosenRig) ->
     runs = legid.load(paths, chosen, args.damaged)
     with stages("diagnosing") as show:
         diagnosis = legid.diagnose(runs, chosen, args.seed, args.reference, show, args.workers, args.material,
-                               dict(args.fix))
+                                   dict(args.fix))
     for text in diagnosis.prepared.warnings if diagnosis.failed else ():  # else the answer has them
         warn(text)
     return diagnosis
