@@ -71,7 +71,7 @@ def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
         if start in loose:
             start += candidate.width
             continue
-        found.append(Group(e.name, kind_of(type(e)), None if e.joint is None else e.joint + 1,
+        found.append(Group(e.name, kind_of(type(e)), e.joint_number,
                            e.meaning(candidate.shape), columns[:, start : start + candidate.width],
                            tuple(s.name for s in e.sizes), tuple(m.unit(s.unit) for s in e.sizes)))
         start += candidate.width

@@ -34,5 +34,5 @@ def with_changed_law(found: Change, changes: Sequence[LawChange], mechanism: Mec
 
 def _cause(change: LawChange, mechanism: Mechanism, volts: float) -> ChangedCause:
     effect, *_, sizes = change.cause.told(mechanism, volts)
-    return ChangedCause(effect.name, kind_of(type(effect)), None if effect.joint is None else effect.joint + 1,
-                        effect.sentence, sizes, change.cause.p_value)
+    return ChangedCause(effect.name, kind_of(type(effect)), effect.joint_number, effect.sentence, sizes,
+                        change.cause.p_value)

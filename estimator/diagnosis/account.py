@@ -343,8 +343,8 @@ def causes_of(explanation: Explanation, p_value: float, diagnosis: Diagnosis) ->
             row = np.abs(cosines[keys.index(effect.key)])
             near = tuple(dict.fromkeys(k.split("@")[0] for k, c in zip(keys, row)
                                        if c**2 > SUFFICES and k.split("@")[0] != effect.name))
-        out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(size), sizes,
-                         p_value, explanation.gain, near))
+        out.append(Cause(effect.name, effect.joint_number, effect.told(size), sizes, p_value, explanation.gain,
+                         near))
     return out
 
 

@@ -168,10 +168,10 @@ def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, 
     for i in best_shapes(context, tests):
         effect, columns = context.candidates[i].effect, context.columns[i]
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.least_gain)
-        out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
-                          float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, context.split.open_size(effect)),
-                          context.split.mechanism.unit(effect.sizes[0].unit)))
+        out.append(CandidateScore(effect.name, effect.joint_number, float(np.sqrt(max(context.gain(tests, i), 0.0))),
+                                  p_of(context, tests, i), float(tests.size(columns)[0]),
+                                  max(detectable, context.split.open_size(effect)),
+                                  context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
 

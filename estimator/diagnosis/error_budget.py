@@ -36,6 +36,6 @@ def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
     named = () if answer is None else answer.best[0].model.named
     parts = [("nominal", None), *(("cause", e) for e in named), ("remainder", None), ("noise", None)]
     return tuple(BudgetRow(what, float(value[0]), (float(a[0]), float(b[0])), None if e is None else e.name,
-                           None if e is None or e.joint is None else e.joint + 1, float(value[1]),
+                           None if e is None else e.joint_number, float(value[1]),
                            (float(a[1]), float(b[1])))
                  for (what, e), value, a, b in zip(parts, point.T, low.T, high.T))

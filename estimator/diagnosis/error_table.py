@@ -56,14 +56,15 @@ class ErrorTable:
         """Root mean square of a model's error over all columns, inf where it is no number; 1 is noise alone."""
         return float(self._whole[model] if blocks is None else self.errors(model, blocks))
 
-    def errors(self, model: int, draws: IndexArray) -> FloatArray:
+    def errors(self, model: int | slice, draws: IndexArray) -> FloatArray:
         """(...) the same for each draw of blocks (..., B)."""
-        return _root(self.values[model].mean(axis=-1)[draws])
+        found = np.sqrt(self.values[model].mean(axis=-1)[..., draws].mean(axis=-1))
+        return np.where(np.isfinite(found), found, np.inf)
 
     @cached_property
     def _whole(self) -> FloatArray:
         """(M,) error of each model over all blocks."""
-        return _root(self.values.mean(axis=-1))
+        return self.errors(slice(None), np.arange(self.values.shape[1]))
 
     def excess(self, model: int, blocks: IndexArray | None = None) -> float:
         """Mean square beyond noise alone."""
@@ -96,12 +97,6 @@ class ErrorTable:
         """The table on one resampling of its blocks."""
         blocks, whole = self.draws[draw], np.arange(self.values.shape[1])[None]
         return replace(self, values=self.values[:, blocks], runs=self.runs[blocks], draws=whole)
-
-
-def _root(squares: FloatArray) -> FloatArray:
-    """Root of the mean over the last axis; inf where it is no number."""
-    found = np.sqrt(squares.mean(axis=-1))
-    return np.where(np.isfinite(found), found, np.inf)
 
 
 def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.random.Generator,

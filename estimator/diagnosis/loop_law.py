@@ -43,8 +43,8 @@ def with_law(diagnosis: Diagnosis, checks: Sequence[LawCheck], mechanism: Mechan
 
 def _cause(check: LawCheck, cause: LawCause, mechanism: Mechanism, volts: float) -> Cause:
     effect, size, _, sizes = cause.told(mechanism, volts)
-    return Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.told(size), sizes,
-                 cause.p_value, check.before.deviance - check.after.deviance, cause.rivals)
+    return Cause(effect.name, effect.joint_number, effect.told(size), sizes, cause.p_value,
+                 check.before.deviance - check.after.deviance, cause.rivals)
 
 
 def _told(cause: Cause, shown: LawCause) -> str:
@@ -69,6 +69,6 @@ def _extended(diagnosis: Diagnosis, shown: Sequence[LawCause], mechanism: Mechan
         effect, size, std, _ = cause.told(mechanism, volts)
         effects.append((effect, size))
         beta, covariance = np.append(beta, size), block_diag(covariance[: len(beta), : len(beta)], np.diag(std**2))
-    extended = diagnosis.extended or dict(diagnosis.nominal)
     return replace(diagnosis, effects=tuple(effects), extended_beta=beta, extended_covariance=covariance,
-                   extended=extended, extended_std=diagnosis.extended_std or dict(diagnosis.nominal_std))
+                   extended=diagnosis.extended or dict(diagnosis.nominal),
+                   extended_std=diagnosis.extended_std or dict(diagnosis.nominal_std))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -76,16 +77,13 @@ class Model:
         """Effects of the leg."""
         return self.effects[: len(self.effects) - self.nuisances]
 
-    @property
+    @cached_property
     def log_marginal(self) -> float:
         """See `likelihood.log_marginal`, under the model's own noise levels; -inf where it has no solution."""
-        def found() -> float:
-            try:
-                return log_marginal(self.problem, self.state)
-            except np.linalg.LinAlgError:
-                return -np.inf
-
-        return self.once("log marginal", found)
+        try:
+            return log_marginal(self.problem, self.state)
+        except np.linalg.LinAlgError:
+            return -np.inf
 
     @property
     def width(self) -> int:

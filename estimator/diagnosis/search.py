@@ -208,7 +208,7 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
 
     def known(start: Start, state: State, value: float) -> Model:
         model = Model(split, state, split.problem(split.train, angle_range, [e for e, _ in start]))
-        model.made["log marginal"] = value
+        vars(model)["log_marginal"] = value
         return model
 
     return [None if found is None else known(start, *found)

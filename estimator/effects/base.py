@@ -236,6 +236,11 @@ class Effect(ABC):
         """Name, and the joint (1-based) where there is one."""
         return self.name if self.joint is None else f"{self.name}@{self.joint + 1}"
 
+    @property
+    def joint_number(self) -> int | None:
+        """Its joint as people count them, from 1; None of the whole rig."""
+        return None if self.joint is None else self.joint + 1
+
     def shown_at(self, mechanism: Mechanism) -> int:
         """The joint whose motion its signature is drawn against."""
         return self.joint or 0

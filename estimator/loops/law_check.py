@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from daq import FloatArray
 from estimator.effects import Effect, named, placed
 from estimator.loops.law_faults import LAW_FAULTS
@@ -109,7 +107,7 @@ def check_law(runs: Sequence[LawRun], joint: int) -> LawCheck:
         now = best
     if now.share > BROKEN:  # then its faults are not those of the devices either: a torque controller has no such law
         return LawCheck(joint, begin, begin, ())
-    gain = float(np.mean(now.gains))
+    gain = float(now.gains.mean())
     return LawCheck(joint, begin, now, tuple(replace(cause, gain=gain) for cause in causes))
 
 

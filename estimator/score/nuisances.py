@@ -81,8 +81,7 @@ def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated
 def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated: Stated) -> list[Nuisance]:
     """One for each column of `candidates`."""
     reach = torque_reach(problem)
-    return [Nuisance(*_place(one.effect), tolerance, k, isinstance(one.effect, SensorEffect)
-                     and not isinstance(one.effect, GenericReading)) for one in candidates
+    return [Nuisance(*_place(one.effect), tolerance, k, isinstance(one.effect, SensorEffect)) for one in candidates
             for k, tolerance in enumerate(_tolerances(one.effect, stated, reach, problem.mechanism.length_unit == "m"))]
 
 

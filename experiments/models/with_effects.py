@@ -95,7 +95,7 @@ def effects_of(model: Model) -> list[tuple[Effect, FloatArray]]:
 def effect_value(effect: Effect, size: FloatArray) -> EffectValue:
     """The other way round."""
     k = len(effect.sizes)
-    return EffectValue(name=effect.name, joint=None if effect.joint is None else effect.joint + 1,
+    return EffectValue(name=effect.name, joint=effect.joint_number,
                        sizes={s.name: float(v) for s, v in zip(effect.sizes, size[:k])},
                        shapes={s.name: float(v) for s, v in zip(effect.shapes, size[k:])})
 
