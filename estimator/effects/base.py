@@ -27,7 +27,6 @@ CONSTANT = "constant torque"
 """`Effect.equivalence_class`: a constant torque on a joint that slides, shared out between two directions of friction,
 a preload or an offset. They differ near rest only, where no friction law is exact."""
 
-
 Axis = Literal["q", "v", "a", "u", "du", "turn", "session"]
 """Angle, rate and acceleration of a joint, what the motor gives, its rate, the motor's angle within a turn, time."""
 PlanKind = Literal["large", "small", "ramps", "swing", "slow", "steady", "fast", "micro", "rest"]
@@ -137,9 +136,7 @@ class View:
         Where the sensor has `recorded` y (N,), it is y(t) - y(t + d): the residual then is x(t) - y(t + d), whose
         dependence on x is plain, instead of x(t - d) - y(t).
         """
-        if recorded is not None:
-            return recorded - self.shifted(recorded, -delay_s)
-        return self.shifted(true, delay_s) - true
+        return self.shifted(true, delay_s) - true if recorded is None else recorded - self.shifted(recorded, -delay_s)
 
     def shifted(self, x: FloatArray, delay_s: float) -> FloatArray:
         """x(t - delay) at the samples (N,), cubic spline within each segment, its ends held."""
@@ -234,7 +231,7 @@ class Effect(ABC):
     @property
     def key(self) -> str:
         """Name, and the joint (1-based) where there is one."""
-        return self.name if self.joint is None else f"{self.name}@{self.joint + 1}"
+        return self.name if self.joint is None else f"{self.name}@{self.joint_number}"
 
     @property
     def joint_number(self) -> int | None:
@@ -304,8 +301,7 @@ class Effect(ABC):
         return self
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
-        """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else
-        lagged."""
+        """Encoder or torque channel to derivative (N,) of what it adds by its joint's torque latent; else lagged."""
         return {}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
@@ -360,8 +356,7 @@ class StateEffect(LawEffect):
                    dt_s: float) -> tuple[FloatArray, FloatArray]:
         """(e, target) over intervals, by rate and smoothed sign (...) at both ends."""
 
-    def states(self, v: FloatArray, sign: FloatArray, starts: IndexArray, size: FloatArray, dt_s: float
-               ) -> FloatArray:
+    def states(self, v: FloatArray, sign: FloatArray, starts: IndexArray, size: FloatArray, dt_s: float) -> FloatArray:
         """z (N,) along the rates v (N,) of segments that begin at samples `starts`: one bidiagonal solve."""
         from scipy.linalg import solve_banded
 
