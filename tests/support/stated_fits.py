@@ -37,6 +37,10 @@ class Named:
     count: int = 1
 
     @property
+    def joint_number(self) -> int | None:
+        return None if self.joint is None else self.joint + 1
+
+    @property
     def key(self) -> str:
         return self.name
 
