@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from daq import WorkError
 from experiments.documents import ChangeDocument, Differing, SessionsDocument
 from experiments.judge import Files
-from experiments.reports import cause_table, change_text, sessions_text, write_change
-from legid.tables import Judged, Shown, columns, frame, or_inf, paragraphs, tables_html
+from experiments.reports import change_text, sessions_text, write_change
+from legid.tables import Judged, Shown, columns, frame, or_inf
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,9 +50,6 @@ class Change(Judged, ChangeDocument, kw_only=True):
 
     def __str__(self) -> str:
         return change_text(self)
-
-    def _repr_html_(self) -> str:
-        return _html(self)
 
 
 class Sessions(Shown, SessionsDocument, kw_only=True):
@@ -96,9 +93,6 @@ class Sessions(Shown, SessionsDocument, kw_only=True):
     def __str__(self) -> str:
         return sessions_text(self)
 
-    def _repr_html_(self) -> str:
-        return "".join(map(_html, self.pairs))
-
 
 def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
     """`Change.to_frame` of one or of several."""
@@ -114,7 +108,3 @@ def _frame(pairs: Sequence[Differing], what: str) -> DataFrame:
     else:
         raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
     return frame((columns(rows, "from=0.0.name to=0.1.name") if len(pairs) > 1 else {}) | table)
-
-
-def _html(differing: Differing) -> str:
-    return paragraphs(differing.headline.told) + tables_html(cause_table(differing))

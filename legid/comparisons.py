@@ -10,8 +10,8 @@ from daq import Dataset
 from experiments.documents import ComparisonDocument
 from experiments.judge import Comparison as Found
 from experiments.provenance import Origin
-from experiments.reports import comparison_text, horizon_errors_table, write_comparison
-from legid.tables import Shown, columns, frame, or_inf, paragraphs, tables_html
+from experiments.reports import comparison_text, write_comparison
+from legid.tables import Shown, columns, frame, or_inf
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,6 +65,3 @@ class Comparison(Shown, ComparisonDocument, kw_only=True, dict=True):
 
     def __str__(self) -> str:
         return comparison_text(self)
-
-    def _repr_html_(self) -> str:
-        return paragraphs(self.headline.told) + tables_html(horizon_errors_table(self))

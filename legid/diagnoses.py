@@ -13,14 +13,11 @@ from experiments.judge import Files
 from experiments.provenance import Origin
 from experiments.reports import (
     diagnosis_text,
-    error_table,
-    gap_text,
     short_diagnosis_text,
-    size_table,
     write_diagnosis,
 )
 from experiments.session import Prepared
-from legid.tables import Judged, columns, frame, kept_with, or_inf, paragraphs, tables_html
+from legid.tables import Judged, columns, frame, kept_with, or_inf
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,7 +111,3 @@ class Diagnosis(Judged, DiagnosisDocument, kw_only=True, dict=True):
 
     def __str__(self) -> str:
         return short_diagnosis_text(self)
-
-    def _repr_html_(self) -> str:
-        return (paragraphs(self.headline.told) + tables_html(size_table(self.causes), error_table(self.sensors))
-                + paragraphs([text for text in (gap_text(self), self.next_experiment) if text]))

@@ -15,8 +15,8 @@ from estimator.model import Mechanism
 from experiments.documents import FitDocument, finite
 from experiments.judge import Files, check_sound
 from experiments.provenance import Origin
-from experiments.reports import fit_summary, parameter_table, whole_fit_text, write_fit
-from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
+from experiments.reports import parameter_table, whole_fit_text, write_fit
+from legid.tables import Shown, columns, frame, kept_with
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,7 +140,4 @@ class FitResult(Shown, FitDocument, kw_only=True, dict=True):
         return fit_figure(self.estimate)
 
     def __str__(self) -> str:
-        return f"{self.trust}\n\n{parameter_table(self).text}"
-
-    def _repr_html_(self) -> str:
-        return paragraphs([*self.headline.told, fit_summary(self)]) + tables_html(parameter_table(self))
+        return f"{self.headline.text}\n\n{parameter_table(self).text}"

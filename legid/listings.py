@@ -17,7 +17,6 @@ from experiments.excite import Design, design_text
 from experiments.models import effects_document, effects_text
 from experiments.provenance import Origin
 from experiments.reports import (
-    TUNING_HEADER,
     guess_section,
     guess_table,
     guess_verdict,
@@ -25,7 +24,7 @@ from experiments.reports import (
     tuning_text,
     write_page,
 )
-from legid.tables import Shown, columns, frame, html_table, paragraphs, tables_html
+from legid.tables import Shown, columns, frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,9 +93,6 @@ class Guess(Shown):
     def __str__(self) -> str:
         return "\n".join([*guess_verdict(self.found).told, "", self.table.text])
 
-    def _repr_html_(self) -> str:
-        return tables_html(self.table) + paragraphs(guess_verdict(self.found).told)
-
 
 @dataclass(frozen=True, repr=False)
 class Effects(Listing):
@@ -122,10 +118,6 @@ class Effects(Listing):
 
     def __str__(self) -> str:
         return effects_text()
-
-    def _repr_html_(self) -> str:
-        rows = [[row["effect"], row["meaning"], row["experiment"]] for row in self.document["effects"]]
-        return html_table(["effect", "meaning", "best shown by"], rows)
 
 
 @dataclass(frozen=True, repr=False)
@@ -160,9 +152,6 @@ class Excitation(Shown):
             return design_text(self.design, self.rig.limits)
         return f"{self.plan.duration_s:.1f} s at most {self.plan.peak_nm:.3g} N m"
 
-    def _repr_html_(self) -> str:
-        return paragraphs(str(self).splitlines())
-
 
 class Tuning(Shown, TuningDocument, kw_only=True):
     """Entries of a rig file that predict its records best: `legid.tuning/1`, whose keys are its fields.
@@ -190,10 +179,3 @@ class Tuning(Shown, TuningDocument, kw_only=True):
 
     def __str__(self) -> str:
         return tuning_text(self)
-
-    def _repr_html_(self) -> str:
-        flags = [f"Warning: {text}" for text in (*map(str, self.set_aside), *self.flags)]
-        rows = tuning_rows(self)
-        head = html_table(TUNING_HEADER, rows) if rows else paragraphs(
-            ["no change: rig.toml predicts best as it is"])
-        return head + paragraphs(flags)

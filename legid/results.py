@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-import numpy as np
 from msgspec import structs
 
 from daq import Dataset as PlainDataset
 from daq import Rig
 from experiments.console import command_line
 from experiments.provenance import Origin, Source, origin_of
-from legid.tables import Shown, frame, html_table, paragraphs
+from legid.tables import Shown, frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,11 +64,3 @@ class Dataset(Shown, PlainDataset):
 
     def __str__(self) -> str:
         return f"{self._head()}, columns {', '.join(self.columns)}"
-
-    def _repr_html_(self) -> str:
-        rows = []
-        for name, values in self.columns.items():
-            seen = values[np.isfinite(values)]
-            cells = [f"{x:.4g}" for x in (seen.min(), seen.mean(), seen.max())] if seen.size else ["", "", ""]
-            rows.append([name, *cells, str(values.size - seen.size)])
-        return paragraphs([self._head()]) + html_table(["column", "smallest", "mean", "largest", "missing"], rows)

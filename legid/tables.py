@@ -12,7 +12,6 @@ from daq import WorkError
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from experiments.reports import Table
 
 
 class Shown:
@@ -20,6 +19,10 @@ class Shown:
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: what `print` does."""
+        return f"<pre>{escape(str(self))}</pre>"
 
     def check(self) -> None:
         """Raises `WorkError` for a result that is no use, such as a fit that did not converge."""
@@ -92,21 +95,3 @@ def _value(row: Any, path: str) -> Any:
 def or_inf(values: Sequence[float | None]) -> list[float]:
     """The numbers, infinity for null: an error that diverged, a change that no run can show."""
     return [inf if value is None else value for value in values]
-
-
-def html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A `<table>`; all text is escaped."""
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
-
-
-def tables_html(*tables: Table) -> str:
-    """Those that have rows."""
-    return "".join(html_table(table.header, table.rows) for table in tables if table.rows)
-
-
-def paragraphs(texts: Sequence[str]) -> str:
-    """Each text as a `<p>`, escaped."""
-    return "".join(f"<p>{escape(text)}</p>" for text in texts)

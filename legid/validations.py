@@ -15,7 +15,7 @@ from experiments.judge import Files
 from experiments.models import Model
 from experiments.provenance import Origin
 from experiments.reports import segment_table, whole_validation_text, write_validation
-from legid.tables import Shown, columns, frame, kept_with, paragraphs, tables_html
+from legid.tables import Shown, columns, frame, kept_with
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,9 +44,6 @@ class Validation(Shown, PlainValidation):
     def __str__(self) -> str:
         errors = ", ".join(f"{name} {value:.4g}" for name, value in self.rmse.items())
         return f"{self.run}: {self.horizon_s:.1f} s simulated, rms errors {errors}"
-
-    def _repr_html_(self) -> str:
-        return paragraphs([str(self)])
 
 
 class Measured(NamedTuple):
@@ -120,7 +117,4 @@ class Validations(Shown, ValidationDocument, kw_only=True, dict=True):
         return validation_figure(self._measured().segments)
 
     def __str__(self) -> str:
-        return f"{self.trust}\n\n{segment_table(self.runs).text}"
-
-    def _repr_html_(self) -> str:
-        return paragraphs(self.headline.told) + tables_html(segment_table(self.runs))
+        return f"{self.headline.text}\n\n{segment_table(self.runs).text}"

@@ -14,12 +14,13 @@ from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import NOMINAL, ErrorTable
 from estimator.diagnosis.explanation import Explanation
-from estimator.diagnosis.family import FittedFamily, with_clock, with_terms
+from estimator.diagnosis.family import FittedFamily, with_terms
 from estimator.diagnosis.gain import gains_by_horizon, measure_gain, smoothed_tests
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation
+from estimator.diagnosis.small_faults import taken_in_words
 from estimator.diagnosis.tolerances import with_tolerances
 from estimator.diagnosis.verdict import Decision
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
@@ -64,7 +65,7 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     answer, *others = decision.answer.best
     if decision.minor is not None:
         answer = with_minor(answer, decision.minor)
-    told = [with_clock(context, with_terms(context, answer, context.terms)), *others]
+    told = [with_terms(context, answer, context.terms), *others]
     return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
 
 
@@ -85,8 +86,8 @@ def compared(family: FittedFamily, first: ErrorTable) -> tuple[tuple[tuple[str, 
     errors: dict[tuple[str, ...], float] = {}
     noisy = {hidden.declared for hidden in family.rows.hidden}
     for row, model in enumerate(family.models):
-        keys = tuple(sorted(e.key for e in model.named))
-        if keys and row not in noisy and not any(isinstance(e, GenericTorque | GenericReading) for e in model.named):
+        keys = tuple(sorted(e.key for e in model.effects))
+        if keys and row not in noisy and not any(isinstance(e, GenericTorque | GenericReading) for e in model.effects):
             errors[keys] = min(first.error(row), errors.get(keys, np.inf))
     return tuple(sorted(errors.items(), key=lambda one: one[1]))
 
@@ -104,8 +105,9 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     """Parts that every verdict has: runs, nominal parameters, what cannot be tested."""
     split = nominal.split
     names = split.mechanism.names
-    values, std = nominal.state.beta, np.sqrt(np.diag(with_tolerances(nominal)))
-    warnings = []
+    values, covariance = with_tolerances(nominal)
+    std = np.sqrt(np.diag(covariance))
+    warnings = taken_in_words(nominal)
     if split.single:
         warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "
                         "independent; record several runs")
@@ -262,23 +264,23 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
         found = replace(found, warnings=(*found.warnings, f"these runs do not determine {' and '.join(lacking)}: other "
                                          "sizes or parameters can replace them"))
     found = with_gain(found, nominal, best, noise, rng)
-    rivals = [[c for c, e in zip(causes_of(t, p_value, found), t.model.named, strict=True) if e.key in t.beyond]
-              for t in indistinguishable]
+    listed = [list(zip(t.model.effects, causes_of(t, p_value, found), strict=True)) for t in indistinguishable]
+    rivals = [[c for e, c in own if e.key in t.beyond] for t, own in zip(indistinguishable, listed)]
     causes = {c.effect + str(c.joint): c for own in rivals for c in own}
-    small = [c for c, e in zip(causes_of(best, p_value, found), best.model.named, strict=True) if e.key in best.within]
+    small = [c for e, c in listed[0] if e.key in best.within]
     found = replace(found, immaterial=(*found.immaterial, *small))
     if len(indistinguishable) == 1:
         told = "; ".join(_told(c) for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
-        steps = "; ".join(sorted({e.experiment for e in best.model.named}))
+        steps = "; ".join(sorted({e.experiment for e in best.model.effects}))
         if partial:
             sentence += f" A material residual remains that no listed effect explains{_where(found)}."
         return replace(found, verdict="partial" if partial else "named", sentence=sentence,
                        causes=tuple(causes.values()),
                        next_experiment=f"To measure it better: {steps}.")
     told = " or ".join(" with ".join(_told(c) for c in r) for r in rivals)
-    steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
-                      f"{'; '.join(e.experiment for e in t.model.named)}" for t in indistinguishable)
+    steps = "; ".join(f"for {' and '.join(e.key for e in t.model.effects)}: "
+                      f"{'; '.join(e.experiment for e in t.model.effects)}" for t in indistinguishable)
     return replace(found, verdict="one_of", sentence=f"One of these causes; these runs cannot tell which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
 
@@ -299,9 +301,11 @@ def with_gain(diagnosis: Diagnosis, nominal: Model, best: Explanation, noise: Fl
     """`diagnosis` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
     model = best.model
     diagnosis = replace(with_model(diagnosis, best), signatures=tuple(
-        s for e in model.named if (s := signature(nominal, model, e)) is not None))
+        s for e in model.effects if (s := signature(nominal, model, e)) is not None))
+    told = [replace(one.fitted, parameters=values) for one, values in (
+        (nominal, np.array(list(diagnosis.nominal.values()))), (model, diagnosis.extended_beta))]
     try:
-        gain = measure_gain(model, smoothed_tests(nominal, model), rng, noise)
+        gain = measure_gain(model, smoothed_tests(told, model), rng, noise)
     except FitError as error:
         return replace(diagnosis, warnings=(*diagnosis.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
@@ -313,12 +317,11 @@ def with_gain(diagnosis: Diagnosis, nominal: Model, best: Explanation, noise: Fl
 
 def with_model(found: Diagnosis, best: Explanation) -> Diagnosis:
     """`found` with the extended parameters of `best`."""
-    model, covariance = best.model, best.covariance
-    names, std = model.split.mechanism.names, np.sqrt(np.diag(covariance))
+    values, covariance = best.estimate
+    names, std = best.model.split.mechanism.names, np.sqrt(np.diag(covariance))
     return replace(
-        found, extended=dict(zip(names, map(float, model.state.beta))), extended_std=dict(zip(names, map(float, std))),
-        effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
-        extended_covariance=covariance)
+        found, extended=dict(zip(names, map(float, values))), extended_std=dict(zip(names, map(float, std))),
+        effects=tuple(zip(best.model.effects, best.sizes())), extended_beta=values, extended_covariance=covariance)
 
 
 def causes_of(explanation: Explanation, p_value: float, diagnosis: Diagnosis) -> list[Cause]:
@@ -331,7 +334,7 @@ def causes_of(explanation: Explanation, p_value: float, diagnosis: Diagnosis) ->
     half = explanation.half_widths
     keys, cosines = diagnosis.separability
     out = []
-    for effect, size, here in zip(model.named, model.sizes(), model.places()):
+    for effect, size, here in zip(model.effects, explanation.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
         fitted = np.array([not s.discrete for s in effect.shapes], dtype=bool)
         held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & fitted)
@@ -368,7 +371,7 @@ def undetermined_sizes(explanation: Explanation) -> list[str]:
     """Each size that these runs do not determine, with its effect, in words."""
     model = explanation.model
     return [f"the {size.name.replace('_', ' ')} of {effect.key.replace('_', ' ').replace('@', ' at joint ')}"
-            for effect, here in zip(model.named, model.places())
+            for effect, here in zip(model.effects, model.places())
             for size, known in zip(effect.sizes, explanation.determined[here]) if not known]
 
 

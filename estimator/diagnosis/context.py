@@ -16,16 +16,13 @@ from estimator.diagnosis.explanation import Explanation, admissible, outperforms
 from estimator.diagnosis.model import (
     Model,
     begin_afresh,
-    bootstrap_scores,
     predicted_train,
     refit,
     score_train,
-    tests_of,
 )
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.result import CandidateScore
 from estimator.effects import Effect
-from estimator.errors import FitError
 from estimator.fit_errors import FIT_ERRORS
 from estimator.likelihood import Candidate
 from estimator.prediction import PredictedRun
@@ -39,6 +36,7 @@ from estimator.score import (
     determined,
     nuisances_of,
     own_inflation,
+    project,
 )
 
 Progress = Callable[[str, float], None]
@@ -56,16 +54,12 @@ class DiagnosisContext:
     columns: list[IndexArray]
     named: int
     """The first so many candidates are of the library."""
-    bias: list[FloatArray]
-    """(m,) of each train run, see `bootstrap_scores`"""
     nominal: Model
     rng: np.random.Generator
     share: float = MATERIAL
     """Least relative reduction of the free-run error that counts"""
     terms: Sequence[Effect] = ()
     """Effects that a fit of the train runs would choose as terms of its nominal model"""
-    biases: dict[int, list[FloatArray]] = field(default_factory=dict)
-    """Number of effects to the `bias` of sets of so many; see `bias_of`"""
     scores: tuple[Score, ...] = ()
     """(R,) of the nominal parameters and then of all candidates, one a train run"""
     whole: dict[bytes, Model] = field(default_factory=dict)
@@ -101,11 +95,8 @@ class DiagnosisContext:
         return len(self.candidates)
 
     def gain(self, tests: ScoreTests, i: int) -> float:
-        """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
-        columns, open_size = self.columns[i], self.split.open_size(self.candidates[i].effect)
-        if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
-            return 0.0
-        return tests.gain(columns)
+        """Gain of candidate i."""
+        return tests.gain(self.columns[i])
 
     @property
     def least_gain(self) -> float:
@@ -113,20 +104,13 @@ class DiagnosisContext:
         return MATERIAL**2 * self.nominal.problem.total
 
 
-def scored(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
-           bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
-    """The scores of `candidates` at a nominal fit, less their `bias`, which is simulated if it is not given."""
+def scored(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress
+           ) -> tuple[DiagnosisContext, ScoreTests]:
+    """The scores of `candidates` at a nominal fit."""
     say("scoring the library", 0.15)
     scores = score_train(nominal, candidates)
-    if not bias:
-        say("simulating bootstrap replicates", 0.2)
-        try:
-            bias = bootstrap_scores(nominal, candidates, scores, rng)
-        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
-            bias = [np.zeros_like(s.score) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng,
-                               scores=tuple(scores))
-    return context, tests_of(nominal, scores, bias)
+    context = DiagnosisContext(candidates, columns_of(candidates), named, nominal, rng, scores=tuple(scores))
+    return context, project(scores, nominal.problem.parameter_count)
 
 
 def detected(context: DiagnosisContext, tests: ScoreTests, own: frozenset[str] = frozenset()) -> bool:
@@ -240,34 +224,16 @@ def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[
 
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
+    """Each with the scores of what it leaves on the train runs; as it is where it has them."""
     return [replace(e, **e.model.once("assessed", partial(assessed, context, e))) if e.left is NO_TESTS else e
             for e in explanations]
-
-
-def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:
-    """Bias of the `scores` of sets of as many effects as `model` has, one a train run, own sizes left out.
-
-    It is simulated for the first of them. Where it cannot be, it is that of the nominal model.
-    """
-    count = len(model.effects)
-    if count not in context.biases:
-        try:
-            bias = bootstrap_scores(model, context.candidates, scores, context.rng)
-        except FitError:
-            return context.bias
-        own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
-        context.biases[count] = [np.delete(one, own) for one in bias]
-    return context.biases[count]
 
 
 def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, Any]:
     """Fields of an explanation that its scores on the train runs fill."""
     model = explanation.model
     scores = score_train(model, context.candidates)
-    p = model.problem.mechanism.p
-    own = [p] * (model.problem.parameter_count - p)
-    left = tests_of(model, scores, [np.insert(one, own, 0.0) for one in bias_of(context, model, scores)])
+    left = project(scores, model.problem.parameter_count)
     free = np.diag(model.state.covariance) > 0.0
     keys = explanation.keys
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
@@ -280,8 +246,8 @@ def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, A
 
 def within_tolerance(model: Model) -> frozenset[str]:
     """Keys of the effects of a model whose sizes the tolerances of the rig hold."""
-    stated, found = model.split.options.tolerances, set[str]()
-    for effect, size in zip(model.effects, model.sizes(), strict=True) if stated is not None else ():
+    stated, found = model.split.tolerances, set[str]()
+    for effect, size in zip(model.effects, model.whole_sizes(), strict=True) if stated is not None else ():
         own = nuisances_of([Candidate(effect, tuple(size[len(effect.sizes) :]))], model.problem, stated or {})
         if all(abs(value) <= BEYOND * one.tolerance for value, one in zip(size, own, strict=False)):
             found.add(effect.key)

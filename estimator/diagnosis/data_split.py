@@ -16,7 +16,7 @@ from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.score import RUNS
+from estimator.score import BEYOND, RUNS
 from estimator.signals import SignalSet, split_signals
 
 HELD_OUT = (1, 2)
@@ -53,6 +53,10 @@ class RunSplit:
     """Delays of the torque beyond its hold that the likelihood of the hold found [s]; empty where the hold explains it.
 
     The first is of the hold that was chosen, another of one that is nearly as likely."""
+    taken: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Effect to the sizes of a sensor's small fault that is taken off the readings of `runs`"""
+    read: tuple[tuple[SignalSet, ...], ...] = ()
+    """Runs with all that was read, where anything is taken off"""
 
     @property
     def inner(self) -> list[tuple[int, ...]]:
@@ -75,6 +79,15 @@ class RunSplit:
     def encoders(self) -> tuple[int, ...]:
         """0-based joints whose encoders are read."""
         return self.options.encoders_of(self.mechanism.n)
+
+    @property
+    def tolerances(self) -> Mapping[str, tuple[float, ...]] | None:
+        """Those of the rig; that of the IMU's time line is at least what the recorder's clocks leave open."""
+        stated, key = self.options.tolerances, SensorTimeSkew.name
+        if stated is None or not self.clock_bound_s:
+            return stated
+        own = stated.get(key, (SensorTimeSkew.sizes[0].tolerance,))
+        return {**stated, key: (max(own[0], self.clock_bound_s / BEYOND),)}
 
     def open_size(self, effect: Effect) -> float:
         """Size of `effect` below which the recorder's clocks leave it open anyway; zero unless it is a time skew."""
@@ -101,6 +114,10 @@ class RunSplit:
         problem = problem.with_disturbance() if disturbed else problem
         known = [self.stiction[i] for i in which if i in self.stiction]
         return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
+
+    def as_read(self) -> RunSplit:
+        """The split of the runs with all that was read."""
+        return replace(self, runs=self.read or self.runs)
 
     def with_stiction(self, found: Mapping[int, FloatArray]) -> RunSplit:
         """Split with `Noise.stiction` of more runs; known values stay."""

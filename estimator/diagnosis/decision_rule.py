@@ -58,12 +58,10 @@ EDGE = 1.0 + SUFFICES
 
 Of free runs (see `noise_floor`): beyond it explanations are sought even where no term is detected, a nominal model that
 is not explained is `unexplained`, and a cause that leaves more is `partial`. Of a sensor: its fitted noise over what
-the rig declares (see `noise_ratios`). Of a replicate: its sum of squares over its run's own."""
+the rig declares (see `noise_ratios`)."""
 
 # Numerics: the resolution of tests and of simulated noise
 
-REPLICATED_SAMPLES = 24_000
-"""Samples, about, that the replicates of the train runs have in all; of each run there are two at least."""
 WHOLE_RUNS = 16
 """Replicates, of all runs that are measured together, whose free runs over whole runs say what noise leaves."""
 DRAWS = 400

@@ -33,7 +33,7 @@ def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
     if np.isnan(point).any():
         return ()
     low, high = np.nanquantile([shares(d) for d in table.draws], [0.025, 0.975], axis=0)
-    named = () if answer is None else answer.best[0].model.named
+    named = () if answer is None else answer.best[0].model.effects
     parts = [("nominal", None), *(("cause", e) for e in named), ("remainder", None), ("noise", None)]
     return tuple(BudgetRow(what, float(value[0]), (float(a[0]), float(b[0])), None if e is None else e.name,
                            None if e is None else e.joint_number, float(value[1]),

@@ -56,20 +56,25 @@ class Explanation:
         return self.keys - self.within
 
     @cached_property
-    def covariance(self) -> FloatArray:
-        """(m, m) of the parameters that belong to the leg, from noise, scatter between runs and tolerances."""
-        model, width = self.model, self.model.width
-        spread = np.sqrt(self.inflation[:width])
-        return with_tolerances(model, np.outer(spread, spread) * model.state.covariance[:width, :width])
+    def estimate(self) -> tuple[FloatArray, FloatArray]:
+        """(m,) the parameters that belong to the leg, (m, m) their covariance by noise, scatter and tolerances."""
+        model, spread = self.model, np.sqrt(self.inflation)
+        values, covariance = with_tolerances(model, np.outer(spread, spread) * model.state.covariance)
+        taken = np.concatenate([np.zeros(model.split.mechanism.p), *map(model.taken_of, model.effects)])
+        return values + taken, covariance
+
+    def sizes(self) -> list[FloatArray]:
+        """One size vector for each effect of the leg."""
+        return [self.estimate[0][here] for _, here in zip(self.model.effects, self.model.places())]
 
     @cached_property
     def half_widths(self) -> FloatArray:
         """(m,) of their 95 % intervals, by Student's t of their own scatter between runs."""
-        return np.asarray(student_quantile(self.left.freedom) * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(student_quantile(self.left.freedom) * np.sqrt(np.diag(self.estimate[1])))
 
     def with_zero_within(self) -> Explanation:
         """The explanation with effects all of whose sizes have zero in their intervals `within` the tolerances, too."""
-        every = zip(self.model.named, self.model.sizes(), self.model.places())
+        every = zip(self.model.effects, self.sizes(), self.model.places())
         return replace(self, within=self.within | {e.key for e, size, here in every if np.all(
             np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])})
 
@@ -124,7 +129,7 @@ def presence(explanation: Explanation) -> list[bool]:
     A gear of zero compliance with friction and inertia of its motor is no elastic gear.
     """
     out = []
-    for k, (effect, size) in enumerate(zip(explanation.model.named, explanation.model.sizes())):
+    for k, (effect, size) in enumerate(zip(explanation.model.effects, explanation.model.sizes())):
         counts = significant(explanation, k)
         below = size[: effect.positive] < 0.0
         wrong = ((below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
@@ -137,7 +142,7 @@ def undetermined(explanation: Explanation) -> list[bool]:
     """For each effect, whether the other effects and the nominal parameters replace all its defining sizes."""
     model = explanation.model
     return [not explanation.determined[here][: len(effect.sizes)][: effect.defining].any()
-            for effect, here in zip(model.named, model.places())]
+            for effect, here in zip(model.effects, model.places())]
 
 
 def significant(explanation: Explanation, which: int) -> BoolArray:

@@ -31,7 +31,7 @@ from estimator.diagnosis.result import Rotation
 from estimator.diagnosis.search import explained, pairs_of, with_one_more
 from estimator.diagnosis.train_errors import Floor, floor_of_best, noise_of, surely_errs_less, train_table
 from estimator.diagnosis.verdict import Answer, Family, Hidden, choose, likeliest
-from estimator.effects import Effect, SensorTimeSkew
+from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fit_errors import FIT_ERRORS
 from estimator.parallel import parallel_map
@@ -123,20 +123,6 @@ def with_terms(context: DiagnosisContext, explanation: Explanation, terms: Seque
         return with_terms(context, explanation, there)
     return replace(found, gain=explanation.gain + gain_over(model, again) / found.left.scatter,
                    within=explanation.within | found.within | {e.key for e in more})
-
-
-def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:
-    """Re-fitted with the IMU's time line free where the recorder's clocks leave it open; as it was where that fails."""
-    model, bound, skew = explanation.model, context.split.clock_bound_s, SensorTimeSkew()
-    if not context.split.has_imu or bound <= 0.0 or skew.key in {e.key for e in model.effects}:
-        return explanation
-    try:
-        again = refit(model, [*zip(model.effects, model.sizes()), (skew, np.zeros(1))])
-    except FIT_ERRORS:
-        return explanation
-    if not again.state.converged or abs(again.state.beta[-1]) > bound:
-        return explanation
-    return replace(explanation, model=replace(again, nuisances=1))
 
 
 def choose_answer(context: DiagnosisContext, shortlist: Sequence[Explanation], floor: Floor
@@ -288,7 +274,7 @@ def measure_all(family: FittedFamily, first: ErrorTable, rng: np.random.Generato
         nominal = nominal_model(turned(split, others[k]))
         fitted = [nominal, *(_again(nominal, m) for m in models[1:])]
         return (measure(fitted, unit, family.noise, np.random.default_rng(seeds[k]), smoothers),
-                [m.sizes() for m in fitted])
+                [m.whole_sizes() for m in fitted])
 
     if not others:
         return None
@@ -298,7 +284,7 @@ def measure_all(family: FittedFamily, first: ErrorTable, rng: np.random.Generato
         return None
     count, row = len(family.models), NOMINAL if family.rows.answer is None else family.rows.answer.row
     tables = [first, *(spread_out(table, core, count) for table, _ in turns)]
-    sizes = [family.models[row].sizes(), *(own[core.index(row)] for _, own in turns)]
+    sizes = [family.models[row].whole_sizes(), *(own[core.index(row)] for _, own in turns)]
     found = tuple(_rotation(split, fold, family.models[row], own, table.falls(row, NOMINAL, material))
                   for fold, table, own in zip([split.test, *others], tables, sizes))
     return joined(tables, rng), found

@@ -14,7 +14,15 @@ from estimator.diagnosis.model import Model, smooth
 from estimator.diagnosis.result import HorizonGain, SensorGain, Trace
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
-from estimator.prediction import FloorNoise, PredictedRun, SmoothedRun, predict_run, smooth_segments, tabulate
+from estimator.prediction import (
+    FittedModel,
+    FloorNoise,
+    PredictedRun,
+    SmoothedRun,
+    predict_run,
+    smooth_segments,
+    tabulate,
+)
 
 
 @dataclass(frozen=True)
@@ -29,16 +37,16 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def smoothed_tests(nominal: Model, extended: Model) -> list[list[SmoothedRun]]:
-    """Motion of each test run under both models by the smoother of `legid validate`, then by `smooth`.
+def smoothed_tests(told: Sequence[FittedModel], extended: Model) -> list[list[SmoothedRun]]:
+    """Motion of each test run under both models that are `told` by the smoother of `legid validate`, then by `smooth`.
 
-    It holds the noise of the extended fit, so that all explanations have the same weights."""
-    split = extended.split
+    That holds the noise of the extended fit, so that all explanations have the same weights."""
+    split = extended.split.as_read()
 
     def smoothed(k: int) -> list[SmoothedRun]:
         run, options = split.test[k], replace(split.options, noise=split.known)
-        return [*(smooth_segments(model.fitted, split.names[run], split.runs[run], options, split.starts_s[run])
-                  for model in (nominal, extended)), smooth(extended, run)]
+        return [*(smooth_segments(model, split.names[run], split.runs[run], options, split.starts_s[run])
+                  for model in told), smooth(extended, run)]
 
     return parallel_map(smoothed, len(split.test), split.workers)
 

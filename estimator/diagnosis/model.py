@@ -12,7 +12,7 @@ import numpy as np
 
 from daq import BoolArray, FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import DECIDING_S, EDGE, REPLICATED_SAMPLES
+from estimator.diagnosis.decision_rule import DECIDING_S
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
@@ -34,13 +34,10 @@ from estimator.prediction import (
     FittedModel,
     PredictedRun,
     SmoothedRun,
-    draw_replicate,
-    per_value,
     predict_run,
-    simulate_run,
     smooth_under,
 )
-from estimator.score import Score, ScoreTests, project, score_alone, score_at, total
+from estimator.score import Score, score_at, total
 from estimator.signals import SignalSet
 
 T = TypeVar("T")
@@ -55,8 +52,6 @@ class Model:
     split: RunSplit
     state: State
     problem: LatentProblem
-    nuisances: int = 0
-    """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
     made: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """See `once`"""
 
@@ -72,11 +67,6 @@ class Model:
         """All effects that were fitted."""
         return self.problem.effects
 
-    @property
-    def named(self) -> tuple[Effect, ...]:
-        """Effects of the leg."""
-        return self.effects[: len(self.effects) - self.nuisances]
-
     @cached_property
     def log_marginal(self) -> float:
         """See `likelihood.log_marginal`, under the model's own noise levels; -inf where it has no solution."""
@@ -86,21 +76,24 @@ class Model:
             return -np.inf
 
     @property
-    def width(self) -> int:
-        """Length of the parameter vector as far as it belongs to the leg."""
-        return self.problem.mechanism.p + sum(e.count for e in self.named)
-
-    @property
     def fitted(self) -> FittedModel:
-        """The leg's model, without what is uncertain of these records alone."""
-        split, leg = self.split, slice(self.width)
-        return FittedModel(split.mechanism, split.options.hold, self.state.beta[leg], self.named,
-                           self.state.covariance[leg, leg], self.state.noise.levels(), self.problem.stage.angle_range,
-                           split.gear_ratio)
+        """The leg's model."""
+        split, state = self.split, self.state
+        return FittedModel(split.mechanism, split.options.hold, state.beta, self.effects, state.covariance,
+                           state.noise.levels(), self.problem.stage.angle_range, split.gear_ratio)
 
     def sizes(self) -> list[FloatArray]:
         """One size vector an effect."""
         return self.problem.split(self.state.beta)[1]
+
+    def taken_of(self, effect: Effect) -> FloatArray:
+        """(count,) what is taken off the readings as a small fault of this effect."""
+        size = self.split.taken.get(effect.key, np.zeros(len(effect.sizes)))
+        return np.append(size, np.zeros(len(effect.shapes)))
+
+    def whole_sizes(self) -> list[FloatArray]:
+        """One size vector an effect, with what is taken off the readings."""
+        return [size + self.taken_of(effect) for effect, size in zip(self.effects, self.sizes())]
 
     def on(self, run: int, candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None
            ) -> LatentProblem:
@@ -307,49 +300,3 @@ def score_train(model: Model, candidates: Sequence[Candidate]) -> list[Score]:
         return score_at(problem, states[k])
 
     return parallel_map(scored, len(states), split.workers)
-
-
-def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[Score],
-                     rng: np.random.Generator) -> list[FloatArray]:
-    """(m,) mean score of replicates of the model, one a train run: the bias of `scores` when nothing is wrong.
-
-    A replicate that the model fits worse than the run itself was not simulated well, and is left out; a run without
-    any has the bias of the others. Raises `FitError` where there is none at all.
-    """
-    split, states = model.split, run_states(model)
-    seeds = rng.integers(2**63, size=len(states))
-    count = max(2, REPLICATED_SAMPLES // model.problem.total)
-
-    def bootstrap_bias(k: int) -> FloatArray | None:
-        i, own = split.train[k], np.random.default_rng(seeds[k])
-        problem = model.on(i)
-        found, worst = [], EDGE * per_value(problem, states[k])
-        staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
-        for _ in range(count):
-            signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
-            again = smooth(model, i, states[k].x, signals)
-            if per_value(again.problem, again.state) > worst:
-                continue
-            scored = model.on(i, candidates, signals)
-            found.append(score_alone(scored, again.state))
-        return np.mean(found, axis=0) if found else None
-
-    means = parallel_map(bootstrap_bias, len(states), split.workers)
-    good = [(mean, np.diag(s.information)) for mean, s in zip(means, scores) if mean is not None]
-    if not good:
-        raise FitError("every bootstrap replicate of the model differs too much from its run")
-    return [pooled_bias(good, s) if mean is None else mean for mean, s in zip(means, scores)]
-
-
-def pooled_bias(bias: Sequence[tuple[FloatArray, FloatArray]], run: Score) -> FloatArray:
-    """(m,) mean bias of other runs, scaled column by column to what this run informs of, but not enlarged.
-
-    A run that never reaches a stop says nothing of it, and has no bias about it either.
-    """
-    score, known = np.mean(bias, axis=0)
-    return np.asarray(score * np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 1.0))
-
-
-def tests_of(model: Model, runs: Sequence[Score], bias: Sequence[FloatArray] | None = None) -> ScoreTests:
-    """Efficient tests with the model's own parameters projected out."""
-    return project(runs, model.problem.parameter_count, bias)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from estimator.diagnosis import account
 from estimator.diagnosis.context import (
     DiagnosisContext,
@@ -40,6 +40,7 @@ from estimator.diagnosis.model import Model, likeliest_smoothing_velocity, nearb
 from estimator.diagnosis.noise_check import noisy_sensors
 from estimator.diagnosis.result import Diagnosis, Rotation
 from estimator.diagnosis.search import fit_sets, grown, pairs_of, search
+from estimator.diagnosis.small_faults import without_small_faults
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.train_errors import surely_errs_less, train_table
 from estimator.diagnosis.uses import with_uses
@@ -106,14 +107,14 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
 
-    def anew(nominal: Model, bias: Sequence[FloatArray] = ()) -> Begun:
-        return begin(nominal, candidates, named, rng, say, material, bias)
+    def anew(nominal: Model) -> Begun:
+        return begin(nominal, candidates, named, rng, say, material)
 
-    begun = anew(nominal_model(split, near))
+    begun = anew(without_small_faults(nominal_model(split, near)))
     if stated is not None and begun.there:
         other = with_smoothing_velocity(begun, stated)
         if other is not None:
-            begun = anew(other, begun.context.bias)
+            begun = anew(other)
     found = searched(begun, say)
     context = begun.context
     context.terms = [e for e in effects if wanted and
@@ -122,7 +123,8 @@ def _diagnose(split: RunSplit, near: State | None, seed: int, say: Progress,
     base = replace(base, candidates=rank(context, begun.tests), separability=separability(context, begun.tests))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, found, begun.generic, rng)
-    whole = with_uses(with_structure(concluded, context.nominal), context.nominal)
+    read = replace(context.nominal, split=context.nominal.split.as_read())
+    whole = with_uses(with_structure(concluded, read), read)
     return replace(whole, mechanism=context.nominal.split.mechanism)
 
 
@@ -138,9 +140,9 @@ class Begun(NamedTuple):
 
 
 def begin(nominal: Model, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
-          material: float, bias: Sequence[FloatArray] = ()) -> Begun:
+          material: float) -> Begun:
     """The scores of `candidates` at a nominal fit, and what they show."""
-    context, tests = scored(nominal, candidates, named, rng, say, bias)
+    context, tests = scored(nominal, candidates, named, rng, say)
     there = detected(context, tests)
     generic = generic_extension(context, nominal, tests) if there else None
     context.share = material

@@ -18,7 +18,8 @@ from estimator.use import best_first, use_of_parameters
 
 def model_told(diagnosis: Diagnosis, nominal: Model) -> FittedModel:
     """The model that a model file has: with the named causes, or the nominal one where none is."""
-    return replace(nominal.fitted, parameters=diagnosis.extended_beta if diagnosis.effects else nominal.fitted.beta,
+    return replace(nominal.fitted, parameters=diagnosis.extended_beta if diagnosis.effects
+                   else np.array([diagnosis.nominal[name] for name in nominal.split.mechanism.names]),
                    effects=tuple(effect for effect, _ in diagnosis.effects), covariance=None, noise=None)
 
 

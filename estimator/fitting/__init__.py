@@ -23,7 +23,7 @@ from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import with_second_opinion
-from estimator.fitting.tolerances import tolerated
+from estimator.fitting.tolerances import Tolerated, tolerated
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "MarginalLikelihood",
     "Measurement",
     "Policies",
+    "Tolerated",
     "body_unit",
     "converge_motion",
     "descend",

@@ -16,7 +16,6 @@ from estimator.likelihood.normal_equations import Latents, Linearised, add_readi
 from estimator.likelihood.stage import Candidate, Stage
 from estimator.likelihood.state import State
 from estimator.likelihood.stiction import draw_stiction, find_smoothing, find_stiction
-from estimator.likelihood.weighted_residuals import weighted_residuals_after
 
 __all__ = [
     "LOST_RAD", "OFF", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "GaussRows", "LatentProblem", "Latents",
@@ -24,5 +23,4 @@ __all__ = [
     "add_reading", "compile_kernels", "draw_stiction", "effective_samples", "find_smoothing", "find_stiction",
     "free_run", "held_variance", "log_marginal", "marginal_at",
     "pieces", "read_motion", "slack_of", "unit_scale", "unseen_level",
-    "weighted_residuals_after",
 ]

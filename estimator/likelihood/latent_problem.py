@@ -33,7 +33,7 @@ from estimator.effects import Backlash, Effect, GearEffect, Points, StribeckFric
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.closed_loops import closed_loops, driven
 from estimator.likelihood.disturbance import Process, expected_score
-from estimator.likelihood.effect_columns import acting, added, extra_of, slopes_at_zero
+from estimator.likelihood.effect_columns import added, extra_of
 from estimator.likelihood.measured_runs import MeasuredRuns
 from estimator.likelihood.memory import keep_pages, pieces, refuse_too_long
 from estimator.likelihood.noise import Noise
@@ -42,7 +42,6 @@ from estimator.likelihood.normal_equations import (
     Extra,
     Latents,
     Linearised,
-    WeightedResiduals,
     add_reading,
     of_channel,
 )
@@ -76,12 +75,6 @@ class LatentProblem(MeasuredRuns):
         own = copy(self)
         own.disturbed, own.block = True, 4 * self.n
         refuse_too_long(own.total, own.block, 1 + own.mechanism.p)
-        return own
-
-    def without_candidates(self) -> Self:
-        """The same with effects alone."""
-        own = copy(self)
-        own.candidates = ()
         return own
 
     @property
@@ -160,12 +153,6 @@ class LatentProblem(MeasuredRuns):
         those by sizes and candidates."""
         beta, pairs = self._pairs(parameters)
         return extra_of(pairs, self.candidates, *self._free(x, beta), columns)
-
-    def candidate_gradient(self, x: Latents, parameters: FloatArray, residuals: WeightedResiduals) -> FloatArray:
-        """(c,) derivative of half the objective by the candidates' sizes, at these `residuals`."""
-        beta, pairs = self._pairs(parameters)
-        view = acting(pairs, *self._free(x, beta))[0]
-        return np.array([residuals.along(d) for candidate in self.candidates for d in slopes_at_zero(candidate, view)])
 
     def simulated(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Parameters like `split`, for a simulation that has no record of the motor's motion."""

@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
 from daq import BoolArray, FloatArray, IndexArray
-from estimator.effects import Perturbation
 from estimator.numerics import BlockTridiagonal
 from estimator.signals import Channel
 
@@ -102,26 +99,6 @@ class Linearised:
     def accel_rows(self) -> FloatArray:
         """(S, N, 2, b) accelerometer rows by the latents, a view."""
         return self.accel[..., : self.chain.block]
-
-
-@dataclass(frozen=True)
-class WeightedResiduals:
-    """Residuals over their variances, by the place at which a `Perturbation` adds to them."""
-
-    torque: FloatArray
-    """(n, 2, K) of the equation of motion at the Gauss points [1/(N m)]"""
-    torque_at_samples: FloatArray
-    """(n, N) of the accelerometer, by the torque that its acceleration misses"""
-    readings: Mapping[Channel, FloatArray]
-    """(N,) each"""
-
-    def along(self, added: Perturbation) -> float:
-        """Derivative of half the objective by the amount of what is `added`."""
-        total = 0.0
-        if added.torque is not None and added.torque_at_samples is not None:
-            total = float(np.vdot(self.torque, added.torque) + np.vdot(self.torque_at_samples, added.torque_at_samples))
-        return total + sum(float(self.readings[channel] @ values) for channel, values in added.readings.items()
-                           if channel in self.readings)
 
 
 def add_reading(chain: BlockTridiagonal, columns: Sequence[int], weight: float | FloatArray, residual: FloatArray

@@ -45,14 +45,6 @@ class BlockTridiagonal:
         chain.right[:] = right.reshape(n, b, -1)
         return chain
 
-    def first(self, width: int) -> BlockTridiagonal:
-        """A copy with the first right sides only."""
-        count, b, _ = self.rows.shape
-        chain = BlockTridiagonal.zeros(count, b, width)
-        chain.rows[:, :, : b + width] = self.rows[:, :, : b + width]
-        chain.rows[:, :, chain.edge : chain.edge + b] = self.rows[:, :, self.edge : self.edge + b]
-        return chain
-
     @property
     def block(self) -> int:
         """Block size b."""
@@ -78,6 +70,6 @@ class BlockTridiagonal:
         """(N, b, width), a view."""
         return self.rows[:, :, self.block : self.block + self.width]
 
-    def flat_right(self, columns: slice = slice(None)) -> FloatArray:
-        """(N b, columns) right sides as a matrix, a view."""
-        return self.rows.reshape(-1, self.rows.shape[2])[:, self.block : self.block + self.width][:, columns]
+    def flat_right(self) -> FloatArray:
+        """(N b, width) right sides as a matrix, a view."""
+        return self.rows.reshape(-1, self.rows.shape[2])[:, self.block : self.block + self.width]

@@ -18,7 +18,7 @@ from estimator.score.nuisances import (
 )
 from estimator.score.run_scatter import agreement_of, robust_covariance
 from estimator.score.run_scores import RunScores, score_runs
-from estimator.score.score import HIDDEN, Score, columns_of, score_alone, score_at, total
+from estimator.score.score import HIDDEN, Score, columns_of, score_at, total
 from estimator.score.score_tests import (
     ALPHA,
     NO_TESTS,
@@ -35,6 +35,6 @@ __all__ = [
     "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
-    "score_alone", "score_at", "score_runs", "step_without", "steps_without", "tolerance_sources", "torque_power",
+    "score_at", "score_runs", "step_without", "steps_without", "tolerance_sources", "torque_power",
     "total", "with_torque_gain",
 ]

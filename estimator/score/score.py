@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import FloatArray, IndexArray
-from estimator.likelihood import Candidate, LatentProblem, State, weighted_residuals_after
+from estimator.likelihood import Candidate, LatentProblem, State
 from estimator.numerics import eliminate
 
 HIDDEN = 1e-5
@@ -99,16 +99,6 @@ def score_at(problem: LatentProblem, state: State) -> Score:
     point = problem.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()
     return Score(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
-
-
-def score_alone(problem: LatentProblem, state: State) -> FloatArray:
-    """(m,) the score of `score_at` without the information, for a third of the time."""
-    plain = problem.without_candidates()
-    point = plain.linearise(state.x, state.beta, state.noise)
-    step = eliminate(point.chain.first(1)).solution(np.ones(1))
-    own = np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
-    weighted = weighted_residuals_after(plain, state.x, state.beta[: plain.mechanism.p], state.noise, point, -step)
-    return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, weighted)])
 
 
 def columns_of(candidates: Sequence[Candidate]) -> list[IndexArray]:

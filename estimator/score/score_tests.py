@@ -85,14 +85,11 @@ class ScoreTests:
         return float(np.sqrt(needed / self.information[column, column]))
 
 
-def project(runs: Sequence[Score], nuisance: int, bias: Sequence[FloatArray] | None = None) -> ScoreTests:
-    """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
-
-    `bias`, if given, holds for each run the mean score (m,) of replicates of the fitted model, which is subtracted.
-    """
+def project(runs: Sequence[Score], nuisance: int) -> ScoreTests:
+    """Efficient scores with the first `nuisance` parameters projected out over all `runs`."""
     whole = total(runs).information
     carry = pseudo_inverse(whole[:nuisance, :nuisance]) @ whole[:nuisance, nuisance:]
-    score = np.array([r.score for r in runs]) - (0.0 if bias is None else np.array(bias))
+    score = np.array([r.score for r in runs])
     scores, informations = score[:, nuisance:] - score[:, :nuisance] @ carry, []
     for r in runs:
         cross = r.information[nuisance:, :nuisance] @ carry

@@ -12,6 +12,7 @@ from daq import Dataset, FloatArray
 from estimator.errors import FitError, GapError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.signals.channels import Channel, imu_channels
 from estimator.signals.commands import Commands, command_columns, commands_of
 from estimator.signals.filters import central_difference, lowpass, shifted
 from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
@@ -54,6 +55,18 @@ class SignalSet:
             values = self.torque if column == "torque" else self.imu[column]
             self._kept[key] = lowpass(values, cutoff_hz, self.rate_hz)
         return self._kept[key]
+
+    def less(self, added: Mapping[Channel, FloatArray]) -> SignalSet:
+        """The segment without what is `added` (n,) to each reading."""
+        angles, torque, imu = self.angles.copy(), self.torque.copy(), dict(self.imu)
+        for channel, values in added.items():
+            place = channel.joint or 0
+            if channel.kind in ("encoder", "torque"):
+                (torque if channel.kind == "torque" else angles)[:, place] -= values
+            else:
+                column = imu_columns(place)[imu_channels(place).index(channel)]
+                imu[column] = imu[column] - values
+        return replace(self, angles=angles, torque=torque, imu=imu)
 
     @cached_property
     def _kept(self) -> dict[tuple[str, float], FloatArray]:

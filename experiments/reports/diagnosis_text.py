@@ -206,7 +206,7 @@ def _titled(title: str, table: Table, *after: str) -> str:
 
 def short_diagnosis_text(found: DiagnosisDocument) -> str:
     """The answer, the causes and the errors."""
-    return "\n\n".join(filter(None, ["\n".join(found.headline.lines), causes_text(found), errors_on_held_out(found)]))
+    return "\n\n".join(filter(None, [found.headline.text, causes_text(found), errors_on_held_out(found)]))
 
 
 def diagnosis_text(document: DiagnosisDocument, files: Files | None = None) -> str:

@@ -50,9 +50,6 @@ class Named:
     def at_limits(self, size: FloatArray) -> FloatArray:
         return np.isinf(size)
 
-    def open_size(self, bound_s: float) -> float:
-        return 0.0
-
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
@@ -63,12 +60,8 @@ class Fitted:
     size: float = SIGNIFICANT
 
     @property
-    def named(self) -> tuple[Named, ...]:
-        return self.effects
-
-    @property
     def split(self) -> Any:
-        return SimpleNamespace(clock_bound_s=0.0, workers=1, open_size=lambda effect: 0.0)
+        return SimpleNamespace(workers=1, open_size=lambda effect: 0.0)
 
     @property
     def state(self) -> Any:
@@ -107,5 +100,5 @@ def predicted_by_scores(gains: Mapping[Named, float]) -> tuple[DiagnosisContext,
     count = len(candidates)
     score = np.sqrt(np.array(list(gains.values())))
     tests = ScoreTests(score[None], score, np.eye(count), np.ones(count), 13.0, np.ones(count), np.zeros((0, count)))
-    return DiagnosisContext(candidates, columns_of(candidates), count, [], fitted(0.0),
+    return DiagnosisContext(candidates, columns_of(candidates), count, fitted(0.0),
                             np.random.default_rng(0)), tests

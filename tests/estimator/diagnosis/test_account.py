@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 from pytest import approx, mark
 
-from estimator import Diagnosis, FitOptions
+from estimator import Diagnosis
 from estimator.diagnosis.account import causes_of, compared, undecided, with_blind_sensors, with_minor
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
@@ -57,7 +57,7 @@ def test_no_budget_is_made_of_noise() -> None:
 def test_sets_of_listed_effects_alone_are_compared() -> None:
     """Neither generic terms nor fits under another noise, and of two fits of one set the better."""
     models = [fitted(0.0), fitted(9.0, "drag"), fitted(9.0, "drag"), fitted(9.0, "play", "drag"), fitted(9.0, "drag"),
-              SimpleNamespace(named=(Named("drag"), battery(leg2(), False)[0]))]
+              SimpleNamespace(effects=(Named("drag"), battery(leg2(), False)[0]))]
     family = cast(FittedFamily, SimpleNamespace(rows=Family(0, hidden=(Hidden(0, 4, "", True),)), models=models))
     found = compared(family, table_of(9.0, 1.4, 1.3, 1.1, 0.2, 0.1))
     assert [keys for keys, _ in found] == [("drag", "play"), ("drag",)]
@@ -84,11 +84,11 @@ def told(*sizes: tuple[Any, float, float]) -> Explanation:
     spread = np.concatenate([np.pad([std], (0, e.count - 1)) for e, _, std in sizes])
     ends = np.cumsum([v.size for v in values])
     model: Any = SimpleNamespace(
-        effects=tuple(e for e, *_ in sizes), named=tuple(e for e, *_ in sizes), sizes=lambda: values, width=spread.size,
+        effects=tuple(e for e, *_ in sizes), sizes=lambda: values, taken_of=lambda effect: np.zeros(effect.count),
         places=lambda: [slice(end - v.size, end) for v, end in zip(values, ends)],
         state=SimpleNamespace(covariance=np.diag(spread**2), beta=np.concatenate(values)),
         problem=SimpleNamespace(mechanism=SimpleNamespace(unit=str)),
-        split=SimpleNamespace(delays_s=(), mechanism=None, options=FitOptions()))
+        split=SimpleNamespace(delays_s=(), mechanism=SimpleNamespace(p=0), tolerances=None))
     known = np.ones(spread.size, dtype=bool)
     return Explanation(model, 900.0, replace(NOTHING_LEFT, freedom=1e6), inflation=np.ones(spread.size),
                        determined=known)

@@ -168,5 +168,5 @@ def test_a_size_counts_where_it_is_determined_and_beyond_its_scatter(inflation: 
 def test_a_size_that_the_tolerances_do_not_tell_from_zero_is_no_fault(halves: tuple[float, float],
                                                                      kept: tuple[str, ...]) -> None:
     one = explained(900.0, "spring", "offset")  # both of size 9
-    vars(one)["half_widths"] = np.array(halves)
+    vars(one).update(half_widths=np.array(halves), estimate=(np.array([9.0, 9.0]), np.eye(2)))
     assert one.with_zero_within().beyond == set(kept)

@@ -7,7 +7,7 @@ from pytest import MonkeyPatch, approx, mark, raises
 
 from estimator import FitError
 from estimator.diagnosis import search
-from estimator.diagnosis.context import Start, assess, assess_answers, bias_of
+from estimator.diagnosis.context import Start, assess, assess_answers
 from estimator.diagnosis.decision_rule import GROWN, WIDTH
 from estimator.diagnosis.explanation import Explanation, by_error, first_of_each
 from estimator.diagnosis.model import Model, gain_over
@@ -74,17 +74,6 @@ def test_what_is_not_significant_in_a_set_is_left_out() -> None:
     (alone,) = search.reduced(context, both)
     assert both[0].keys > alone.keys == {"quadratic_drag@1"}
     assert search.reduced(context, [alone]) == []
-
-
-def test_sets_of_as_many_effects_share_one_bias() -> None:
-    one = searched(drag=DRAG, spring=SPRING)
-    context = one.context
-    assert {1, 2} <= set(context.biases)
-    for e in one.found:
-        assert bias_of(context, e.model, []) is context.biases[len(e.keys)]
-    for biases in context.biases.values():
-        assert len(biases) == len(context.split.train)
-        assert {b.size for b in biases} == {context.bias[0].size}  # own sizes left out
 
 
 def test_one_effect_more_is_sought_in_what_an_explanation_leaves() -> None:

@@ -19,6 +19,7 @@ from tests.support.learnt import hidden_magnet
 from tests.support.mujoco_leg import Leg, record
 
 BETA = Leg().beta()
+NOMINAL = dict(zip(leg2(lever_arm=0.2).names, BETA, strict=True))
 
 
 @fixture(scope="module")
@@ -57,7 +58,7 @@ def test_verdicts_that_leave_nothing_have_none(verdict: Verdict, nominal: Any, a
 
 
 def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: list[FittedModel]) -> None:
-    assert with_structure(Diagnosis("unexplained", ""), nominal).structure is hidden_magnet()
+    assert with_structure(Diagnosis("unexplained", "", nominal=NOMINAL), nominal).structure is hidden_magnet()
     spring = JointStiffness(1)
     extended = np.append(1.1 * BETA, [0.3, 0.0])
     partial = Diagnosis("partial", "", effects=((spring, extended[9:]),), extended_beta=extended)
@@ -68,7 +69,7 @@ def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: lis
 
 
 def test_it_is_offered_only_if_it_is_material(nominal: Any, asked: list[FittedModel]) -> None:
-    found = with_structure(Diagnosis("unexplained", "", material=0.95), nominal)
+    found = with_structure(Diagnosis("unexplained", "", nominal=NOMINAL, material=0.95), nominal)
     (told,) = found.warnings
     assert found.structure is None and "not offered" in told
     assert f"remove {100.0 * hidden_magnet().removed:.0f} % [" in told
@@ -78,7 +79,7 @@ def test_a_torque_that_is_learnt_is_no_noise(nominal: Any, asked: list[FittedMod
     """One page said of a magnet that it does not depend on the state, and drew it over the angle."""
     joints = {(law.joint or 0) + 1 for law in hidden_magnet().laws}
     told = tuple(f"an unmeasured torque of 0.02 N m acts {counted_as_noise(j)}" for j in (1, 2, 3))
-    found = with_structure(Diagnosis("unexplained", "", warnings=told), nominal)
+    found = with_structure(Diagnosis("unexplained", "", nominal=NOMINAL, warnings=told), nominal)
     assert found.warnings == tuple(w for j, w in enumerate(told, 1) if j not in joints)
 
 
@@ -87,5 +88,5 @@ def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: 
         raise FitError("no")
 
     learning(fails, monkeypatch)
-    found = Diagnosis("unexplained", "")
+    found = Diagnosis("unexplained", "", nominal=NOMINAL)
     assert with_structure(found, nominal) is found

@@ -43,7 +43,7 @@ def whole_steps(problem: LatentProblem, state: State, count: int) -> list[float]
     for _ in range(count):
         point = problem.linearise(x, state.beta, state.noise)
         found.append(point.objective)
-        x = x.moved(-eliminate(point.chain.first(1)).solution(np.ones(1)))
+        x = x.moved(-eliminate(point.chain).solution(np.eye(point.chain.width)[0]))
     return found
 
 

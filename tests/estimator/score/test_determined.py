@@ -73,14 +73,15 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
     weighed = indistinguishable_set([replace(e, gain=gain, by_run=np.full(4, -gain / 4.0)) for e in alone])
     assert len(weighed) == 2
     nominal = sprung.nominal
-    told = finding(Diagnosis("none", ""), nominal, weighed, 0.001, sprung.rng, False, white_noise(nominal.state.noise))
+    plain = Diagnosis("none", "", nominal=dict(zip(nominal.split.mechanism.names, nominal.state.beta)))
+    told = finding(plain, nominal, weighed, 0.001, sprung.rng, False, white_noise(nominal.state.noise))
     assert told.verdict == "one_of" and {c.effect for c in told.causes} == {SPRING.name, HOSE.name}
     assert told.sentence.startswith("One of these causes") and "To tell them apart" in told.next_experiment
 
 
 def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
     context, tests = scored(nominal_model(sprung.split), sprung.candidates, sprung.named, default_rng(1),
-                            lambda *_: None, sprung.bias)
+                            lambda *_: None)
     found = exchanged(context, tests, [fitted(context, SPRING)])
     assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)
     assert all(len(e.keys) == 1 for e in found)

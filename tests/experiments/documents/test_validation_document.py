@@ -24,7 +24,7 @@ def test_a_document_of_an_earlier_version_is_read_and_told() -> None:
     assert str(found).splitlines()[0] == "ROUGH: over 1 s it is."
     assert repr(found) == "<Validations: ROUGH: over 1 s it is.>"
     assert found.set_aside[0].run == "b.csv" and len(found) == 1
-    assert found.to_frame().loc["a.csv", "q2_rad"] == 0.03 and "<table>" in found._repr_html_()
+    assert found.to_frame().loc["a.csv", "q2_rad"] == 0.03 and "a.csv" in found._repr_html_()
     assert "Look at it." in written_by(found.page)
     for ask in (found.plot, lambda: found[0]):
         with pytest.raises(legid.WorkError, match="read from a file, which has no motion"):
