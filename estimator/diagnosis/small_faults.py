@@ -13,6 +13,7 @@ from estimator.diagnosis.decision_rule import MATERIAL, SUFFICES
 from estimator.diagnosis.model import Model, nearby, nominal_model, score_train, smooth
 from estimator.diagnosis.tolerances import marginalised
 from estimator.effects import GenericReading, GenericTorque
+from estimator.fit_errors import FIT_ERRORS
 from estimator.likelihood import Candidate
 from estimator.parallel import parallel_map
 from estimator.score import BEYOND, Nuisance, Score, nuisance_candidates, nuisances_of, project, total
@@ -21,9 +22,9 @@ from estimator.signals import Channel, SignalSet
 
 def without_small_faults(nominal: Model) -> Model:
     """`nominal` fitted anew to readings less the likeliest faults of sensors within their tolerances; as it was where
-    these gain too little."""
+    these gain too little, or there is no such fit, or a position loop acts on what an encoder reads."""
     split, stated = nominal.split, nominal.split.tolerances
-    if stated is None or not np.isfinite(nominal.state.covariance).all():
+    if stated is None or split.mechanism.followers or not np.isfinite(nominal.state.covariance).all():
         return nominal
     effects = [one for one in nuisance_candidates(nominal.problem, (), stated)
                if not isinstance(one.effect, GenericTorque | GenericReading)]
@@ -33,8 +34,12 @@ def without_small_faults(nominal: Model) -> Model:
         return nominal
     ends = np.cumsum([len(one.effect.sizes) for one in effects])[:-1]
     taken = {one.effect.key: own for one, own in zip(effects, np.split(sizes, ends), strict=True) if own.any()}
-    runs = parallel_map(lambda run: without_faults(nominal, run, effects, taken), len(split.runs), split.workers)
-    return nominal_model(replace(split, runs=tuple(runs), read=split.runs, taken=taken, stiction={}), nearby(nominal))
+    try:
+        runs = parallel_map(lambda run: without_faults(nominal, run, effects, taken), len(split.runs), split.workers)
+        less = replace(split, runs=tuple(runs), read=split.runs, taken=taken, stiction={})
+        return nominal_model(less, nearby(nominal))
+    except FIT_ERRORS:
+        return nominal
 
 
 def small_sizes(model: Model, scores: Sequence[Score], effects: Sequence[Candidate], nuisances: Sequence[Nuisance]

@@ -8,7 +8,8 @@ import pytest
 from numpy.random import default_rng
 
 from daq import Dataset
-from estimator import FitOptions
+from estimator import FitError, FitOptions
+from estimator.diagnosis import small_faults
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.model import Model, nominal_model, refit
@@ -75,6 +76,16 @@ def test_without_tolerances_readings_stay(plant: tuple[Leg, list[Dataset]],
                                           tolerances: Mapping[str, tuple[float, ...]] | None) -> None:
     nominal = fitted(plant, SMALL, tolerances)
     assert without_small_faults(nominal) is nominal and taken_in_words(nominal) == []
+
+
+def test_a_run_whose_motion_is_not_found_leaves_all_readings(plant: tuple[Leg, list[Dataset]],
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object) -> None:
+        raise FitError("no motion")
+
+    nominal = fitted(plant, SMALL, {})
+    monkeypatch.setattr(small_faults, "smooth", lost)
+    assert without_small_faults(nominal) is nominal
 
 
 def test_less_takes_each_reading_s_own_part_off() -> None:
