@@ -27,7 +27,7 @@ def test_an_early_version_is_read_and_told() -> None:
     assert "diverged" in text and "held-out runs run4.mcap" in text
     assert list(found.to_frame()["value"]) == [0.45]
     assert list(found.to_frame("candidates")["smallest_detectable"]) == [inf]
-    assert "With errors of at most the sensor" in found._repr_html_() and "Warning: few runs" in found._repr_html_()
+    assert "Warning: few runs" in found._repr_html_() and "held-out runs run4.mcap" in found._repr_html_()
 
 
 def test_what_was_read_is_written_as_it_was() -> None:
