@@ -65,7 +65,7 @@ class Explanation:
 
     def sizes(self) -> list[FloatArray]:
         """One size vector for each effect of the leg."""
-        return [self.estimate[0][here] for _, here in zip(self.model.effects, self.model.places())]
+        return [self.estimate[0][here] for here in self.model.places()]
 
     @cached_property
     def half_widths(self) -> FloatArray:

@@ -21,8 +21,10 @@ from estimator.signals import Channel, SignalSet
 
 
 def without_small_faults(nominal: Model) -> Model:
-    """`nominal` fitted anew to readings less the likeliest faults of sensors within their tolerances; as it was where
-    these gain too little, or there is no such fit, or a position loop acts on what an encoder reads."""
+    """`nominal` fitted anew to readings less the likeliest faults of sensors within their tolerances.
+
+    As it was where these gain too little, there is no such fit, or a position loop acts on what an encoder reads.
+    """
     split, stated = nominal.split, nominal.split.tolerances
     if stated is None or split.mechanism.followers or not np.isfinite(nominal.state.covariance).all():
         return nominal
@@ -69,15 +71,14 @@ def small_sizes(model: Model, scores: Sequence[Score], effects: Sequence[Candida
 def taken_in_words(model: Model) -> list[str]:
     """A sentence on what is taken off the readings, with each size of at least half its tolerance; empty for nothing.
     """
-    taken, stated, told = model.split.taken, model.split.tolerances or {}, list[str]()
-    unit = model.split.mechanism.unit
+    m, taken, stated = model.split.mechanism, model.split.taken, model.split.tolerances or {}
+    told = ["small faults of sensors, within their tolerances, were taken off the readings"]
     for one in nuisance_candidates(model.problem, (), stated) if taken else ():
-        effect, place = one.effect, one.effect.key.replace("@", " at joint ")
-        told += [f"{place} {size.name} {value:.2g} {unit(size.unit)}" for size, value, own in zip(
-            effect.sizes, taken.get(effect.key, ()), nuisances_of([one], model.problem, stated), strict=False)
-            if abs(value) >= 0.5 * own.tolerance]
-    known = f": {'; '.join(told).replace('_', ' ')}" if told else ", each less than half of it"
-    return [f"small faults of sensors, within their tolerances, were taken off the readings{known}"] if taken else []
+        sizes, own = one.effect.sizes, taken.get(one.effect.key, ())
+        told += [f"{one.effect.key.replace('@', ' at joint ')} {size.name} {value:.2g} {m.unit(size.unit)}"
+                 for size, value, nuisance in zip(sizes, own, nuisances_of([one], model.problem, stated))
+                 if abs(value) >= 0.5 * nuisance.tolerance]
+    return ["; ".join(told).replace("_", " ")] if taken else []
 
 
 def without_faults(model: Model, run: int, effects: Sequence[Candidate], taken: Mapping[str, FloatArray]
