@@ -72,13 +72,15 @@ def taken_in_words(model: Model) -> list[str]:
     """A sentence on what is taken off the readings, with each size of at least half its tolerance; empty for nothing.
     """
     m, taken, stated = model.split.mechanism, model.split.taken, model.split.tolerances or {}
-    told = ["small faults of sensors, within their tolerances, were taken off the readings"]
+    told: list[str] = []
     for one in nuisance_candidates(model.problem, (), stated) if taken else ():
         sizes, own = one.effect.sizes, taken.get(one.effect.key, ())
-        told += [f"{one.effect.key.replace('@', ' at joint ')} {size.name} {value:.2g} {m.unit(size.unit)}"
+        told += [f"{one.effect.key.replace('@', ' at joint ')}, {size.name} {value:.2g}"
+                 f"{' ' * (size.unit != '1')}{m.unit(size.unit).strip('1')}"
                  for size, value, nuisance in zip(sizes, own, nuisances_of([one], model.problem, stated))
                  if abs(value) >= 0.5 * nuisance.tolerance]
-    return ["; ".join(told).replace("_", " ")] if taken else []
+    return [f"small faults of sensors, within their tolerances, were taken off the readings{': ' * bool(told)}"
+            f"{'; '.join(told).replace('_', ' ')}"] if taken else []
 
 
 def without_faults(model: Model, run: int, effects: Sequence[Candidate], taken: Mapping[str, FloatArray]

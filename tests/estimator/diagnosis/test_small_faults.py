@@ -44,7 +44,7 @@ def test_what_is_taken_off_is_what_was_put_in(plant: tuple[Leg, list[Dataset]]) 
     nominal = without_small_faults(fitted(plant, SMALL, {}))
     found = nominal.split
     (told,) = taken_in_words(nominal)
-    assert "readings; accelerometer bias bias x 0.12 m/s2; " in told and "encoder scale" not in told
+    assert "readings: accelerometer bias, bias x 0.12 m/s2; " in told and "encoder scale" not in told
     bias = found.taken["accelerometer_bias"]
     assert bias == pytest.approx([SMALL["accelerometer_bias.x"], SMALL["accelerometer_bias.y"]], rel=0.2)
     assert found.taken["gyro_scale"][0] == pytest.approx(SMALL["gyro_scale"], rel=0.4)
