@@ -57,14 +57,14 @@ class Explanation:
 
     @cached_property
     def estimate(self) -> tuple[FloatArray, FloatArray]:
-        """(m,) the parameters that belong to the leg, (m, m) their covariance by noise, scatter and tolerances."""
+        """(m,) parameters and sizes after the step of `with_tolerances`, with what is taken off; (m, m) covariance."""
         model, spread = self.model, np.sqrt(self.inflation)
         values, covariance = with_tolerances(model, np.outer(spread, spread) * model.state.covariance)
         taken = np.concatenate([np.zeros(model.split.mechanism.p), *map(model.taken_of, model.effects)])
         return values + taken, covariance
 
     def sizes(self) -> list[FloatArray]:
-        """One size vector for each effect of the leg."""
+        """One size vector an effect, of its `estimate`; those of the model are at its optimum."""
         return [self.estimate[0][here] for here in self.model.places()]
 
     @cached_property
