@@ -16,7 +16,7 @@ from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.score import BEYOND, RUNS
+from estimator.score import BEYOND, ONLY, RUNS
 from estimator.signals import SignalSet, split_signals
 
 HELD_OUT = (1, 2)
@@ -86,7 +86,7 @@ class RunSplit:
         stated, key = self.options.tolerances, SensorTimeSkew.name
         if stated is None or not self.clock_bound_s:
             return stated
-        own = stated.get(key, (SensorTimeSkew.sizes[0].tolerance,))
+        own = stated.get(key, (0.0 if ONLY in stated else SensorTimeSkew.sizes[0].tolerance,))
         return {**stated, key: (max(own[0], self.clock_bound_s / BEYOND),)}
 
     def open_size(self, effect: Effect) -> float:

@@ -88,6 +88,16 @@ def test_a_run_whose_motion_is_not_found_leaves_all_readings(plant: tuple[Leg, l
     assert without_small_faults(nominal) is nominal
 
 
+@pytest.mark.parametrize(("stated", "bound_s", "skew_s"), [
+    ({}, 2e-3, 1e-3), ({}, 1e-4, 3e-4), ({"none": (0.0,)}, 1e-4, 5e-5), ({"sensor_time_skew": (0.01,)}, 2e-3, 0.01)])
+def test_what_clocks_leave_open_is_a_tolerance(plant: tuple[Leg, list[Dataset]], stated: dict[str, tuple[float, ...]],
+                                               bound_s: float, skew_s: float) -> None:
+    leg, runs = plant
+    late = [replace(run, clock_bound_s=bound_s) for run in runs]
+    found = split_runs(late, leg2(lever_arm=leg.lever), FitOptions(tolerances=stated)).tolerances
+    assert found is not None and found["sensor_time_skew"] == pytest.approx((skew_s,))
+
+
 def test_less_takes_each_reading_s_own_part_off() -> None:
     zero = np.zeros(3)
     signals = SignalSet("run", 100.0, np.arange(3) / 100.0, np.zeros((3, 2)), np.zeros((3, 2)),
