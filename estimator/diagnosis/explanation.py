@@ -227,12 +227,13 @@ def equivalent(explanation: Explanation, other: Explanation) -> bool:
 def distinguishable(near: list[Explanation]) -> list[Explanation]:
     """Explanations that remain after effects of one group are told apart by their `Effect.distinguishing_size`.
 
-    If the best has a significant one, those without it are removed. Otherwise explanations that equal another one with
-    fewer sizes are removed: a spring of zero stiffness equals a torque offset.
+    If the best has a significant one, those without it are removed, but where what both leave is worth more: it may be
+    that which the size stands for. Otherwise explanations that equal another one with fewer sizes are removed: a spring
+    of zero stiffness equals a torque offset.
     """
     best, others = near[0], near[1:]
     if set_apart(best):
-        return [best, *(o for o in others if not equivalent(o, best) or set_apart(o))]
+        return [best, *(o for o in others if not equivalent(o, best) or set_apart(o) or both_leave(o, best))]
     plain = [o for o in near if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
     return [o for o in near if set_apart(o) or any(o is p for p in plain) or not any(nested(p, o) for p in plain)]
 

@@ -114,6 +114,12 @@ def test_a_spring_with_stiffness_is_no_offset() -> None:
     assert names(indistinguishable_set(constants(9.0, 0.5))) == ["joint_stiffness"]
 
 
+def test_a_stiffness_may_stand_for_what_the_model_lacks_besides() -> None:
+    """A late torque of 1 ms looked like a stiffness, and the offset was named a spring."""
+    lacking = [replace(one, has_residual=True, further=np.full(TESTS, 30.0)) for one in constants(9.0, 0.5)]
+    assert len(indistinguishable_set(lacking)) == 3
+
+
 def test_a_stiffness_that_scatters_between_runs_makes_no_spring() -> None:
     spring, *others = constants(5.0, 0.5)
     assert names(indistinguishable_set([spring, *others])) == ["joint_stiffness"]
