@@ -80,9 +80,8 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             tests = {split.names[i] for i in split.test}  # they choose nothing
             place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
             seen = sorted((d for d in datasets if d.name not in tests), key=lambda d: place.get(d.name, 0))
-            hold, mechanism, near, delay_s, others_s = fit_nominal(seen, mechanism, split.options)
+            hold, mechanism, near, delays = fit_nominal(seen, mechanism, split.options)
             seeks = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
-            delays = (delay_s, *others_s) if delay_s else ()
             split = replace(split, mechanism=mechanism, delays_s=delays, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))
             found = _diagnose(split, near, seed, say, reference, material, stated if seeks else None, terms(seen))

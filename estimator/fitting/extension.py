@@ -19,10 +19,41 @@ from estimator.signals import SignalSet
 
 Terms = tuple[tuple[Effect, FloatArray], ...]
 """Terms that are estimated with a fit, and are none of its parameters."""
+PRIOR = 5.0
+"""Log-likelihood below which two holds are hardly told apart."""
+
+
+class HoldChoice(NamedTuple):
+    """The likeliest way in which torque acts between samples."""
+
+    hold: str
+    margin: float
+    """Log-likelihood above that of the next."""
+    next: str
+    delay_s: float = 0.0
+    """How long after the hold says the torque acts, where that is likelier than not at all [s]."""
+    imu_age_s: float = 0.0
+    """How late the IMU is against encoder and torque, likewise [s]."""
+    apart_s: float = 0.0
+    """How much later the torque acts by the next hold with its own delay, where the evidence hardly tells both apart
+    [s]."""
+
+    @property
+    def delays_s(self) -> tuple[float, ...]:
+        """The delay, where there is one; then that by the next hold, where that is hardly told apart."""
+        return (self.delay_s, self.delay_s + self.apart_s)[: bool(self.delay_s) * (1 + bool(self.apart_s))]
+
+    def __str__(self) -> str:
+        if self.next == self.hold:
+            return "it acts as late as these data ask without a delay; declare hold under [sampling] where it is known"
+        if self.margin < PRIOR:
+            return (f"these data hardly separate it from '{self.next}' (log-likelihood {self.margin:+.1f}); declare "
+                    "hold under [sampling]")
+        return f"the likeliest; the next, '{self.next}', has a log-likelihood {self.margin:.3g} below"
 
 
 class ExtendedFit(NamedTuple):
-    """A fit, to which each of `mle.ADDED` adds a term where the records ask for it."""
+    """A fit, which each of `mle.CANDIDATES` makes another one where the records ask for it."""
 
     problem: LatentProblem
     state: State
@@ -34,6 +65,12 @@ class ExtendedFit(NamedTuple):
     loop: tuple[LoopTerm, ...] = ()
     said: tuple[str, ...] = ()
     """Sentences about what was added, or was not"""
+    bound_s: float = 0.0
+    """See `Dataset.clock_bound_s`"""
+    age_s: float = 0.0
+    """By which the readings of the IMU were moved before the fit"""
+    chosen: HoldChoice | None = None
+    """None of a hold that is stated"""
 
     @property
     def whole(self) -> tuple[LatentProblem, State]:

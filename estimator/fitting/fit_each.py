@@ -11,6 +11,7 @@ import numpy as np
 from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting import hekf
+from estimator.fitting.extension import ExtendedFit
 from estimator.fitting.fit import estimate
 from estimator.fitting.mle import result_of
 from estimator.fitting.motion_search import state_of
@@ -78,7 +79,7 @@ def _fit_mle(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions
             out.append(error)
             continue
         problem = LatentProblem([s], mechanism, options.hold)
-        out.append(result_of(problem, [s], mechanism, options, state, free, wall))
+        out.append(result_of(ExtendedFit(problem, state, [s], free, options), wall))
     return out
 
 

@@ -25,6 +25,7 @@ from daq import BoolArray, FloatArray, IndexArray
 from estimator.effects import Effect, SensorTimeSkew, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting.excerpt import excerpt
+from estimator.fitting.extension import PRIOR, ExtendedFit, HoldChoice
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.imu_age import LATEST_S
 from estimator.fitting.initial_guess import noise_floors
@@ -44,8 +45,6 @@ RARE = {"linear": 15.0, PAST: 3.0}
 """Log-likelihood by which such a hold must beat the others: a torque with a corner at every sample of the grid is made
 by a plant on that grid, and a mean over the past by a logger, seldom by a rig's controller. (Measured under a PD loop
 of 1 kHz, logged at 200 Hz: `linear` is 9 to 13 ahead of the true hold.)"""
-PRIOR = 5.0
-"""Log-likelihood below which two holds are hardly told apart."""
 DELAY_S = 0.01
 """Standard deviation of a delay that nobody states [s]."""
 KNOWN, KNOWN_S = 0.05, 2e-4
@@ -63,33 +62,9 @@ FREED = 30
 """Steps of the fit with free delays, whose noise levels all holds share."""
 
 
-class HoldChoice(NamedTuple):
-    """The likeliest way in which torque acts between samples."""
-
-    hold: str
-    margin: float
-    """Log-likelihood above that of the next."""
-    next: str
-    delay_s: float = 0.0
-    """How long after the hold says the torque acts, where that is likelier than not at all [s]."""
-    imu_age_s: float = 0.0
-    """How late the IMU is against encoder and torque, likewise [s]."""
-    apart_s: float = 0.0
-    """How much later the torque acts by the next hold with its own delay, where the evidence hardly tells both apart
-    [s]."""
-
-    def __str__(self) -> str:
-        if self.next == self.hold:
-            return "it acts as late as these data ask without a delay; declare hold under [sampling] where it is known"
-        if self.margin < PRIOR:
-            return (f"these data hardly separate it from '{self.next}' (log-likelihood {self.margin:+.1f}); declare "
-                    "hold under [sampling]")
-        return f"the likeliest; the next, '{self.next}', has a log-likelihood {self.margin:.3g} below"
-
-
-def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State, free: BoolArray,
-                fitted: LatentProblem, options: FitOptions) -> HoldChoice:
-    """The likeliest of `TRIED` given the fit of one of them; parameters that are not `free` stay."""
+def choose_hold(fit: ExtendedFit) -> HoldChoice:
+    """The likeliest of `TRIED` given the fit of one of them; parameters that are not free stay."""
+    (fitted, state, signals, free, options, *_), mechanism = fit, fit.problem.mechanism
     parts, index = excerpt(signals, max(EXCERPT, fitted.total // SHARE))
     delays: tuple[Effect, ...] = (TorqueDelay(),) if mechanism.actuated else ()
     delays += (SensorTimeSkew(),) if fitted.has_imu else ()

@@ -62,17 +62,19 @@ def rough_age(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     return float(ages[k] + 0.5 * STEP_S * (before - after) / (before - 2.0 * here + after))
 
 
-def with_skew(fitted: ExtendedFit, bound_s: float, age_s: float, aged: bool) -> ExtendedFit:
+def with_skew(fitted: ExtendedFit) -> ExtendedFit:
     """The fit with the IMU's time line free against the controller's, and a sentence about it.
 
-    `bound_s` is 0 where no clock says how late the readings are. They were moved by `age_s` already, or are `aged` by
-    what the fit shows; else they are taken as they are.
+    Readings that were not moved by their age, and are not late by the choice of the hold either, are taken as they are
+    where no clock has a bound.
 
     Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    if not (bound_s or age_s or aged) or not fitted.problem.has_imu or fitted.terms:
+    bound_s, age_s, chosen = fitted.bound_s, fitted.age_s, fitted.chosen
+    aged = bound_s or age_s or (chosen is not None and chosen.imu_age_s)
+    if not aged or not fitted.problem.has_imu or fitted.terms:
         return fitted
     _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), fitted.state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))

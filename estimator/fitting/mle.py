@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq import BoolArray, Dataset
+from daq import Dataset
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance_cause import with_disturbance
@@ -25,7 +25,7 @@ from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion, marginal_of
 from estimator.fitting.loop_terms import scattered, with_loop_terms
-from estimator.fitting.motion_search import search_hold, without_age
+from estimator.fitting.motion_search import first_fit, with_hold
 from estimator.fitting.noise_levels import (
     colour,
     disturbance_levels,
@@ -41,8 +41,7 @@ from estimator.fitting.run_levels import run_noise
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
 from estimator.fitting.torque_colour import torque_colour
 from estimator.fitting.unseen_torque import with_unseen_torque
-from estimator.fitting.wls import free_mask
-from estimator.likelihood import LatentProblem, State
+from estimator.likelihood import LatentProblem
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, LeftOut, Trajectory
@@ -55,55 +54,34 @@ from estimator.score import (
     steps_without,
     total,
 )
-from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
+from estimator.signals import SignalSet, angle_column, predicted_columns
 
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
-ADDED = with_unseen_torque, with_disturbance, with_loop_terms
-"""What a fit has beyond its nominal model where its records ask for it, in the order in which it is asked. An IMU's age
-follows: it takes the recorder's clocks as well."""
+CANDIDATES = with_hold, with_unseen_torque, with_disturbance, with_loop_terms, with_skew
+"""What a fit has where its records ask for it, in the order in which it is asked. The first is that of every verb."""
 
 
 def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
     """Identify by marginal maximum likelihood; see the module's text. Raises `FitError`."""
-    signals = split_signals(datasets, mechanism, options)
-    bound_s = max(d.clock_bound_s for d in datasets)
-    moved, age_s = without_age(signals, mechanism, options, *free_mask(mechanism, options), bound_s)
-    result = (_fit(moved, mechanism, options, bound_s, age_s) if age_s else None) or _fit(
-        signals, mechanism, options, bound_s)
-    assert result
-    return result
-
-
-def _fit(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, bound_s: float, age_s: float = 0.0
-         ) -> FitResult | None:
-    """`fit_mle` of segments whose IMU was moved by `age_s`; None where no fit confirms that. `bound_s`: see
-    `Dataset.clock_bound_s`."""
     start = time.perf_counter()
-    free, beta = free_mask(mechanism, options)
-    fitted, chosen = search_hold(signals, mechanism, options, free, beta)
+    for aged in (True, False):
+        fitted = first_fit(datasets, mechanism, options, aged)
+        for add in CANDIDATES:
+            fitted = add(fitted)
+        if not fitted.age_s or any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.terms):
+            break  # else no fit confirms that age
     stated, mechanism, options = mechanism, fitted.problem.mechanism, fitted.options
-    for add in ADDED:
-        fitted = add(fitted)
-    fitted = with_skew(fitted, bound_s, age_s, chosen is not None and chosen.imu_age_s != 0.0)
-    if age_s and not any(isinstance(effect, SensorTimeSkew) for effect, _ in fitted.terms):
-        return None
     if fitted.state.converged:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         moved = converge_motion(*fitted.whole)
         fitted = fitted._replace(state=replace(fitted.state, x=moved.x, noise=moved.noise))
-    problem, state = fitted.problem, fitted.state
-    result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    result = replace(result, loop=fitted.loop)
+    result = result_of(fitted, 0.0)
     if result.converged:  # else there is no optimum to ask at
         with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
             result = _with_scores(result, fitted)
     prior = prior_values(result.mechanism, options.prior, *without_tolerances(result))
-    result = replace(result, prior=prior, prior_conflict=_conflict(fitted, result))
-    result = replace(result, wall_s=time.perf_counter() - start)
-    if chosen is not None:
-        first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
-        result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = describe_smoothing_velocity(stated, mechanism), unseen_text(state.noise, mechanism.unit("N m"))
+    result = replace(result, prior=prior, prior_conflict=_conflict(fitted, result), wall_s=time.perf_counter() - start)
+    said = describe_smoothing_velocity(stated, mechanism), unseen_text(fitted.state.noise, mechanism.unit("N m"))
     return replace(result, assumptions=(*result.assumptions, *filter(None, said), *fitted.said))
 
 
@@ -177,10 +155,10 @@ def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:
     return all(options.torque_noise(j, bool(mechanism.actuated)) is not None for j in joints)
 
 
-def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-              state: State, free: BoolArray, wall_s: float) -> FitResult:
+def result_of(fitted: ExtendedFit, wall_s: float) -> FitResult:
     """The fit as others see it."""
-    x, beta = state.x, state.beta
+    problem, state, signals, free, options, *_ = fitted
+    x, beta, mechanism, chosen = state.x, state.beta, problem.mechanism, fitted.chosen
     qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)
                           for s in np.split(np.arange(problem.total), problem.ends[:-1])])
     tau = mechanism.inverse_dynamics(x.q, x.v, qdd, beta)
@@ -205,7 +183,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         trajectories.append(Trajectory(s.run, s.time_s, x.q[where], x.v[where], qdd[where], tau[where], s.torque,
                                        measured, predicted, None if x.e is None else -x.e[where]))
     assumptions: tuple[str, ...] = (
-        f"torque acts between samples by the '{options.hold}' hold",
+        f"torque acts between samples by the '{options.hold}' hold{f': {chosen}' if chosen else ''}",
         f"all noise is {colour(state.noise)}, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
@@ -219,6 +197,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
-                     dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise),
+                     dict(options.fixed), options.hold, chosen and chosen.margin, loop=fitted.loop,
+                     run_noise=run_noise(problem, signals, state.noise),
                      torque_colour=torque_colour(problem, state, signals)
                      if state.converged and mechanism.actuated else None)

@@ -1,7 +1,7 @@
 """Motion, parameters and noise levels that are likeliest under one hold, from readings alone: `search_motion`.
 
-Before it, an IMU's age is taken off; after it, the likeliest hold is chosen. `NominalFit` stops there: it is what
-every verb begins with. `find_loop` wants values of loops alone.
+Before it, an IMU's age is taken off: `first_fit`. After it `with_hold` takes the likeliest hold. `NominalFit` stops
+there: it is what every verb begins with. `find_loop` wants values of loops alone.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import BoolArray, Dataset, FloatArray
+from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting.extension import ExtendedFit
 from estimator.fitting.gauss_newton import Policies, descend
-from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
+from estimator.fitting.hold_choice import FIRST, choose_hold
 from estimator.fitting.imu_age import rough_age
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.loop_terms import find_loop_terms
@@ -43,68 +43,65 @@ class NominalFit(NamedTuple):
     state: State | None = None
     """Where the fit ends; not converged where the readings of an IMU were moved, or a run has levels of its own. None
     where there is no fit."""
-    delay_s: float = 0.0
-    """How long after the hold says a torque acts, as far as that is likelier than not at all [s]."""
-    others_s: tuple[float, ...] = ()
-    """That by the next hold, where these data hardly tell both apart."""
+    delays_s: tuple[float, ...] = ()
+    """See `HoldChoice`."""
 
     @classmethod
     def of(cls, datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NominalFit:
         """The fit of all runs, with the hold and velocities that `options` state, or the likeliest. Raises
         `FitError`."""
-        signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-        signals, age_s = without_age(signals, mechanism, options, *mask, max(d.clock_bound_s for d in datasets))
-        (problem, state, *_), chosen = search_hold(signals, mechanism, options, *mask)
-        whole = state.converged and not age_s and state.noise.scale is None
+        fitted = with_hold(first_fit(datasets, mechanism, options))
+        problem, state, chosen = fitted.problem, fitted.state, fitted.chosen
+        whole = state.converged and not fitted.age_s and state.noise.scale is None
         state = replace(state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole)
-        delay_s, apart_s = (chosen.delay_s, chosen.apart_s) if chosen is not None else (0.0, 0.0)
-        return cls(problem.collocation.hold, problem.mechanism, state, delay_s,
-                   (delay_s + apart_s,) if apart_s else ())
+        return cls(problem.collocation.hold, problem.mechanism, state, chosen.delays_s if chosen else ())
 
 
 def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
               ) -> tuple[LoopTerm, ...]:
     """Values of `options.unknown_loop` by the motion of joints whose loop makes the torque; see `find_loop_terms`.
     Raises `FitError`."""
-    signals, mask = split_signals(datasets, mechanism, options), free_mask(mechanism, options)
-    return find_loop_terms(search_hold(signals, mechanism, options, *mask)[0], sure)
+    return find_loop_terms(with_hold(first_fit(datasets, mechanism, options, aged=False)), sure)
 
 
-def without_age(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
-                 beta: FloatArray, bound_s: float) -> tuple[list[SignalSet], float]:
-    """Segments with their IMU moved by its age [s], and that age; 0 where the rig or a clock states the times.
+def first_fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, aged: bool = True
+              ) -> ExtendedFit:
+    """The fit of `search_motion` under the stated hold, else FIRST, of runs whose IMU was moved by its age.
 
-    A nominal age of the rig's leaves more open than that of a clock: within its bound the age is sought, too.
+    Where the rig or a clock states the times that is 0, as it is if the IMU is not `aged`. A nominal age of the rig's
+    leaves more open than that of a clock: within its bound the age is sought, too. Raises `FitError`.
     """
+    signals, bound_s, age_s = split_signals(datasets, mechanism, options), max(d.clock_bound_s for d in datasets), 0.0
     least = max(LEAST_AGE[0], LEAST_AGE[1] / signals[0].rate_hz)
-    if (options.hold != AUTO and not bound_s) or 0.0 < bound_s < least:
-        return signals, 0.0
-    age_s = rough_age(signals, mechanism, options, free, beta)
-    credible = abs(age_s) <= bound_s if bound_s else abs(age_s) >= least
-    return ([with_earlier_imu(s, age_s) for s in signals], age_s) if credible else (signals, 0.0)
+    if aged and (bound_s >= least or (options.hold == AUTO and not bound_s)):
+        age_s = rough_age(signals, mechanism, options, *free_mask(mechanism, options))
+        age_s *= abs(age_s) <= bound_s if bound_s else abs(age_s) >= least
+        signals = [with_earlier_imu(s, age_s) for s in signals] if age_s else signals
+    begin = replace(options, hold=FIRST) if options.hold == AUTO else options
+    problem, state = search_motion(signals, mechanism, begin)
+    return ExtendedFit(problem, state, signals, free_mask(mechanism, options)[0], replace(
+        options, smoothing_velocity="given"), bound_s=bound_s, age_s=age_s)
 
 
-def search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
-                 beta: FloatArray) -> tuple[ExtendedFit, HoldChoice | None]:
-    """The fit of `search_motion` under the stated hold, or the likeliest, which is told; FIRST begins."""
-    begin, chosen = replace(options, hold=FIRST) if options.hold == AUTO else options, None
-    problem, state = search_motion(signals, mechanism, begin, free, beta)
-    known = replace(begin, smoothing_velocity="given")
-    if options.hold == AUTO:
-        chosen = choose_hold(signals, problem.mechanism, state, free, problem, options)
-        known = replace(known, hold=chosen.hold)
-        if chosen.hold != FIRST:
-            problem, state = search_motion(signals, problem.mechanism, known, free, beta, state)
-    return ExtendedFit(problem, state, signals, free, known), chosen
+def with_hold(fitted: ExtendedFit) -> ExtendedFit:
+    """The fit under the likeliest hold, which is told, where none is stated."""
+    problem, state, signals, _, options, *_ = fitted
+    if options.hold != AUTO:
+        return fitted
+    chosen = choose_hold(fitted)
+    options = replace(options, hold=chosen.hold)
+    if chosen.hold != FIRST:
+        problem, state = search_motion(signals, problem.mechanism, options, state)
+    return fitted._replace(problem=problem, state=state, options=options, chosen=chosen)
 
 
-def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: BoolArray,
-            beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
+def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, near: State | None = None
+                  ) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any.
 
     A search that fails, or does not end, starts again from slow motion. Raises `FitError` where both fail.
     """
-    problem = LatentProblem(signals, mechanism, options.hold)
+    problem, (free, beta) = LatentProblem(signals, mechanism, options.hold), free_mask(mechanism, options)
     seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)

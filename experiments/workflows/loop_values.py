@@ -100,7 +100,7 @@ def _near(key: str, value: Any, before: Any) -> bool:
 
 def _unstated(servo: Servo, voltage: bool) -> list[str]:
     """Keys of `[servo]` that a fit may find. A motor on voltage has the limit of its duty."""
-    found = [key for key in ("delay_s", "limit", "integral", "damping") if getattr(servo, key) is None]
+    found = [key for key in WHY if getattr(servo, key) is None]
     if servo.limit == UNLIMITED:
         found.insert(1, "limit")
     motor = voltage or servo.resistance_ohm is not None

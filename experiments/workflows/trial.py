@@ -72,7 +72,7 @@ class Bench:
         """Hold between samples, and the delay beyond it [s], that are likeliest on the grid of `rig`."""
         setup = setup_of(self.runs(rig), rig, self.sensors, self.fixed)
         found = fit_nominal(setup.datasets, setup.mechanism, setup.options)
-        return found.hold, found.delay_s
+        return found.hold, sum(found.delays_s[:1])
 
     def trial(self, rig: Rig) -> Trial:
         """`rig` fitted to each half of the runs and held against the other.

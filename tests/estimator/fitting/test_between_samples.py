@@ -13,7 +13,7 @@ from daq.runs import RawTable
 from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import fit_nominal
-from estimator.fitting.hold_choice import HoldChoice
+from estimator.fitting.extension import HoldChoice
 from estimator.model import GAUSS, HOLDS, Collocation, Mechanism, lag, leg2
 from estimator.model.collocation import spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
