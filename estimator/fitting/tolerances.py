@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import BoolArray, FloatArray, IndexArray
 from estimator.model import Mechanism
-from estimator.result import Budget, BudgetPart, FitResult
+from estimator.result import Budget, BudgetPart, FitResult, LoopTerm
 from estimator.score import (
     STRUCTURE,
     Marginal,
@@ -51,9 +51,18 @@ def with_tolerances(result: FitResult, whole: Score, scores: RunScores,
              BudgetPart(STEP, found.further[None, :p] / np.sqrt(3.0))]
     budget = Budget(tuple(part for part in parts if part.directions.any()), found.step[:p], found.factors)
     moved = tuple(Score(one.score - one.information @ found.step, one.information) for one in found.runs)
-    return (replace(result, beta=result.beta + found.step[:p], budget=budget,
+    return (replace(result, beta=result.beta + found.step[:p], budget=budget, loop=_loop(result.loop, found, free),
                     covariance=noise + np.sum([part.covariance for part in parts[1:]], axis=0)),
             scores._replace(scores=moved))
+
+
+def _loop(terms: Sequence[LoopTerm], found: Tolerated, free: BoolArray) -> tuple[LoopTerm, ...]:
+    """The last of the estimated values as parameters are: moved, and as uncertain as tolerances make them."""
+    marginal, index = found.marginal, np.flatnonzero(free)
+    variance = np.diag(marginal.noise) + np.sum(marginal.directions**2, axis=0) + found.further[index] ** 2 / 3.0
+    last = zip(terms[::-1], found.step[index][::-1], np.sqrt(np.maximum(variance, 0.0))[::-1])
+    return tuple(replace(one, value=one.value + float(step), std=float(np.hypot(one.std, std)))
+                 for one, step, std in last)[::-1]
 
 
 class Tolerated(NamedTuple):

@@ -8,6 +8,7 @@ from pytest import approx, mark
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
 from estimator.model import leg2
+from tests.support.hidden_loops import record_loop
 from tests.support.mujoco_leg import Leg, recorded, scaled
 
 DEFAULTS = FitOptions(tolerances={})
@@ -74,3 +75,14 @@ def test_stated_tolerances_go_before_the_defaults() -> None:
     assert [part.source for part in small.budget.parts if part.source not in ("noise", "scatter")] == ["torque_gain"]
     one = fitted(leg, runs, FitOptions(tolerances={"joint_stiffness@2": (0.2,), "none": ()})).budget
     assert one.part("joint_stiffness@2") is not None and one.part("joint_stiffness@1") is None
+
+
+def test_a_delay_of_commands_is_as_uncertain_as_tolerances_make_it() -> None:
+    """By noise alone it was known to 0.03 ms, where nobody had said that the encoder is in time to that."""
+    runs, leg = record_loop("command_delay"), replace(leg2(), followers=(1,))
+    options = FitOptions(sensors="encoder", unknown_loop=("delay_s",))
+    (plain,), (none,), (wide,) = (fit(runs, leg, replace(options, tolerances=stated)).loop
+                                  for stated in (None, {"none": ()}, {}))
+    assert (none.value, none.std) == approx((plain.value, plain.std), rel=1e-9)
+    assert wide.std > 2.0 * plain.std and abs(wide.value - plain.value) < wide.std
+    assert abs(wide.value - 0.015) < wide.half
