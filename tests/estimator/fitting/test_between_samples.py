@@ -14,6 +14,7 @@ from daq.timing import align_table
 from estimator import FitOptions, fit
 from estimator.fitting import fit_nominal
 from estimator.fitting.extension import HoldChoice
+from estimator.fitting.motion_search import first_fit, with_hold
 from estimator.model import GAUSS, HOLDS, Collocation, Mechanism, lag, leg2
 from estimator.model.collocation import spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
@@ -176,3 +177,16 @@ def test_a_hold_is_not_compared_with_itself() -> None:
     """A held torque that is late may be likelier than the same hold in time, which is chosen for its simplicity."""
     assert "'zero'" not in str(HoldChoice("zero", -62.9, "zero"))
     assert "'smooth'" in str(HoldChoice("zero", 1.0, "smooth"))
+
+
+def test_a_hold_that_is_stated_is_asked_no_more() -> None:
+    rng = default_rng(5)
+    leg = random_leg(rng)
+    begun = first_fit([record(leg, rng, seconds=4)], leg2(lever_arm=leg.lever), FitOptions(hold="smooth"))
+    assert with_hold(begun) is begun and begun.chosen is None
+
+
+def test_a_late_torque_has_the_delays_of_both_holds_that_are_hardly_told_apart() -> None:
+    late = HoldChoice("zero", 1.0, "smooth", 0.003, apart_s=0.001)
+    assert late.delays_s == approx((0.003, 0.004))
+    assert late._replace(apart_s=0.0).delays_s == (0.003,) and late._replace(delay_s=0.0).delays_s == ()
