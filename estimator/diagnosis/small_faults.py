@@ -28,7 +28,7 @@ def without_small_faults(nominal: Model) -> Model:
     split, stated = nominal.split, nominal.split.tolerances
     if stated is None or split.mechanism.followers or not np.isfinite(nominal.state.covariance).all():
         return nominal
-    effects = [one for one in nuisance_candidates(nominal.problem, (), stated)
+    effects = [one for one in nuisance_candidates(nominal.problem, stated)
                if not isinstance(one.effect, GenericTorque | GenericReading)]
     scores, nuisances = score_train(nominal, effects), nuisances_of(effects, nominal.problem, stated)
     sizes = small_sizes(nominal, scores, effects, nuisances)
@@ -73,7 +73,7 @@ def taken_in_words(model: Model) -> list[str]:
     """
     m, taken, stated = model.split.mechanism, model.split.taken, model.split.tolerances or {}
     told: list[str] = []
-    for one in nuisance_candidates(model.problem, (), stated) if taken else ():
+    for one in nuisance_candidates(model.problem, stated) if taken else ():
         sizes, own = one.effect.sizes, taken.get(one.effect.key, ())
         told += [f"{one.effect.key.replace('@', ' at joint ')}, {size.name} {value:.2g}"
                  f"{' ' * (size.unit != '1')}{m.unit(size.unit).strip('1')}"

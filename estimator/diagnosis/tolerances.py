@@ -32,7 +32,7 @@ def with_tolerances(model: Model, covariance: FloatArray | None = None) -> tuple
     stated, values, own = model.split.tolerances, model.state.beta, model.state.covariance
     if not np.isfinite(own).all() or (stated is None and covariance is not None):
         return values, own if covariance is None else covariance
-    candidates = () if stated is None else nuisance_candidates(model.problem, (), stated)
+    candidates = () if stated is None else nuisance_candidates(model.problem, stated)
     scores = score_train(model, candidates)
     free = np.diag(own) > 0.0
     if covariance is None:

@@ -24,11 +24,11 @@ from estimator.fitting.disturbance import (
 from estimator.fitting.extension import ExtendedFit, extend, extended
 from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.omitted_effects import small_effects, with_candidates
+from estimator.fitting.omitted_effects import with_candidates
 from estimator.fitting.profile_likelihood import suits
 from estimator.free_runs import FittedModel
 from estimator.likelihood import LatentProblem, State
-from estimator.score import columns_of, project, score_at
+from estimator.score import columns_of, project, score_at, small_effects
 from estimator.signals import SignalSet
 
 MOST_LEFT = 0.5

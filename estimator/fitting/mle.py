@@ -35,7 +35,7 @@ from estimator.fitting.noise_levels import (
     unseen_levels,
     unseen_text,
 )
-from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
+from estimator.fitting.omitted_effects import omitted_effects, with_candidates
 from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.tolerances import with_scatter, with_tolerances, without_tolerances
@@ -51,6 +51,7 @@ from estimator.score import (
     nuisances_of,
     score_at,
     score_runs,
+    small_effects,
     steps_without,
     total,
 )
@@ -123,10 +124,10 @@ def _with_scores(result: FitResult, fitted: ExtendedFit) -> FitResult:
     Its budget, in its covariance what its runs disagree about, and where asked for the effects that it lacks.
     """
     (problem, state), (_, _, signals, free, options, *_) = fitted.whole, fitted
-    free = np.append(free, np.ones(state.beta.size - free.size, dtype=bool))
+    free = np.append(free, np.ones(state.beta.size - free.size, bool))
     known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
     small = small_effects(problem) if options.seeks_omitted or options.tolerances is not None else ()
-    every = small if options.tolerances is None else nuisance_candidates(problem, small, options.tolerances)
+    every = small if options.tolerances is None else nuisance_candidates(problem, options.tolerances)
 
     def of(own: list[SignalSet]) -> LatentProblem:
         return with_candidates(problem, signals, own, state, every, options.gear_ratio)

@@ -12,20 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq import BoolArray
-from estimator.effects import library
 from estimator.likelihood import Candidate, LatentProblem, Stage, State
 from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
 from estimator.score import ALPHA, RunScores, columns_of, project
 from estimator.signals import SignalSet
-
-
-def small_effects(problem: LatentProblem) -> tuple[Candidate, ...]:
-    """Effects of the library that small sizes define, and that are no parameters of `problem` yet."""
-    encoders = [int(j) for j in np.flatnonzero(problem.has_encoder)]
-    own = {effect.key for effect in problem.effects}
-    listed = library(problem.mechanism, problem.has_imu, encoders)[0]
-    return tuple(Candidate(effect, effect.usual) for effect in listed
-                 if effect.usual is not None and effect.key not in own)
 
 
 def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: Sequence[SignalSet], state: State,

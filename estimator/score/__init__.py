@@ -12,6 +12,7 @@ from estimator.score.nuisances import (
     default_tolerances,
     nuisance_candidates,
     nuisances_of,
+    small_effects,
     tolerance_sources,
     torque_power,
     with_torque_gain,
@@ -35,6 +36,6 @@ __all__ = [
     "RunScores", "Score", "ScoreTests", "agreement_of", "columns_of",
     "default_tolerances", "determined", "discounted", "enlarged", "least_sigmas", "marginalise",
     "nuisance_candidates", "nuisances_of", "own_inflation", "project", "projected", "robust_covariance",
-    "score_at", "score_runs", "step_without", "steps_without", "tolerance_sources", "torque_power",
+    "score_at", "score_runs", "small_effects", "step_without", "steps_without", "tolerance_sources", "torque_power",
     "total", "with_torque_gain",
 ]

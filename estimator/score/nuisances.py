@@ -66,16 +66,22 @@ class Nuisance(NamedTuple):
     """Whether it is of what a sensor reads, in a form that is known."""
 
 
-def nuisance_candidates(problem: LatentProblem, own: Sequence[Candidate], stated: Stated) -> tuple[Candidate, ...]:
-    """Every effect of the library with a tolerance, those of `own` first, then generic terms."""
-    m, encoders = problem.mechanism, [int(j) for j in np.flatnonzero(problem.has_encoder)]
-    taken = {one.effect.key for one in own} | {effect.key for effect in problem.effects}
-    listed = [effect for effect in library(m, problem.has_imu, encoders)[0] if effect.key not in taken]
-    listed += [VelocityFilter(j) for j in m.followers]
-    found = [Candidate(effect, shape) for effect in listed if any(_stated(effect, stated))
+def small_effects(problem: LatentProblem) -> tuple[Candidate, ...]:
+    """Effects of the library that small sizes define, and that are no parameters of `problem` yet."""
+    return tuple(Candidate(effect, effect.usual) for effect in _listed(problem) if effect.usual is not None)
+
+
+def nuisance_candidates(problem: LatentProblem, stated: Stated) -> tuple[Candidate, ...]:
+    """`small_effects`; then every other effect of the library with a tolerance; then generic terms.
+
+    A fit and a diagnosis have one order: the last digits of two orders put them 7e-5 standard errors apart.
+    """
+    m = problem.mechanism
+    others = [effect for effect in _listed(problem) if effect.usual is None] + [VelocityFilter(j) for j in m.followers]
+    found = [Candidate(effect, shape) for effect in others if any(_stated(effect, stated))
              for shape in _thinned(effect)]
-    generic = [] if ONLY in stated and STRUCTURE not in stated else battery(m, problem.has_imu, encoders)
-    return (*own, *found, *map(Candidate, generic))
+    generic = [] if ONLY in stated and STRUCTURE not in stated else battery(m, problem.has_imu, _encoders(problem))
+    return (*small_effects(problem), *found, *map(Candidate, generic))
 
 
 def nuisances_of(candidates: Sequence[Candidate], problem: LatentProblem, stated: Stated) -> list[Nuisance]:
@@ -139,9 +145,18 @@ def torque_power(unit: str) -> int:
     return int(bool(re.search(r"\bN\b|\bkg\b", over))) - int(bool(re.search(r"\bN\b|\bkg\b", under)))
 
 
+def _encoders(problem: LatentProblem) -> list[int]:
+    return [int(j) for j in np.flatnonzero(problem.has_encoder)]
+
+
+def _listed(problem: LatentProblem) -> list[Effect]:
+    """Of the library, without those that `problem` has."""
+    own = {effect.key for effect in problem.effects}
+    return [effect for effect in library(problem.mechanism, problem.has_imu, _encoders(problem))[0]
+            if effect.key not in own]
+
+
 def _thinned(effect: Effect) -> list[tuple[float, ...]]:
-    if isinstance(effect, EncoderEffect):  # the conversion of a log is exact
-        return [effect.usual or ()]
     grid = effect.grid()
     return [grid[round(k)] for k in np.linspace(0, len(grid) - 1, min(SHAPES, len(grid)))]
 
