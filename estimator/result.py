@@ -106,7 +106,7 @@ class RunAgreement:
     """(p,) standard deviation between runs."""
     by_run: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(runs, p) of each run, drawn to the mean by what it does not know."""
-    seen: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    seen: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     """(p,) whether most of a scatter is seen in the runs; else it may belong to another parameter, or be none."""
     unit: Literal["run", "segment"] = "run"
     """What is compared: runs, or segments of a single run."""

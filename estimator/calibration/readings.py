@@ -239,7 +239,7 @@ def slow_rows(motion: Motion, mechanism: Mechanism, options: FitOptions, remedy:
     constants = np.broadcast_to(np.eye(mechanism.n)[:, list(mechanism.actuated)], (*q.shape, len(mechanism.actuated)))
     z = np.concatenate([mechanism.regressor(q, qd, qdd), *ahead, constants], axis=2)
     free, beta = free_mask(mechanism, options)
-    mask = np.append(free, np.ones(z.shape[2] - len(free), dtype=bool))
+    mask = np.append(free, np.ones(z.shape[2] - len(free), bool))
     offset = [k for j, k in mechanism.offset_columns.items() if j in mechanism.actuated]
     mask[offset] = False  # the constants stand for them
     start = np.append(np.where(free, 0.0, beta), np.zeros(len(mask) - len(free)))

@@ -102,7 +102,7 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
     signals = split_signals([data], m, options)
     changed = replace(model, parameters=np.concatenate([model.beta + moved[: m.p], *sizes]), effects=tuple(present))
     problem, beta = changed.problem(signals), changed.parameters
-    begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), model.beta)
+    begin = start_state(problem, signals, m, options, np.zeros(m.p, bool), model.beta)
     state = smooth_under(problem, State(begin.x, beta, noise or fit.noise, np.zeros((beta.size, beta.size))))
     found = score_at(changed.problem(signals, candidates=fit.candidates), state)
     found = found.of(np.r_[: m.p, beta.size : found.score.size])

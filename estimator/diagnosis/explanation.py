@@ -36,7 +36,7 @@ class Explanation:
     """rms error of its free runs over a second on the train runs, over the nominal model's, sensors alike"""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
-    determined: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    determined: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     """(m,) whether these runs determine each of its parameters; see `estimator.score`"""
     further: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(K,) gain of each candidate in addition to it; zero for its own effects"""

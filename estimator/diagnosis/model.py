@@ -190,7 +190,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     x = start.state.x
     state = State(Latents(x.q.copy(), x.v.copy(), x.u.copy()), parameters, noise or start.state.noise,
                   np.zeros((parameters.size, parameters.size)))
-    free = np.ones(parameters.size, dtype=bool)
+    free = np.ones(parameters.size, bool)
     free[:p] = free_mask(split.mechanism, split.options)[0]
     for (effect, size), place in zip(effects, problem.places()):
         held = np.array([hold_shapes or s.discrete for s in effect.shapes], dtype=bool)
@@ -228,7 +228,7 @@ def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
     split = replace(model.split, mechanism=stated, stiction={})
     problem = split.problem(split.train, model.problem.stage.angle_range, model.effects)
     state = model.state
-    free = np.ones(state.beta.size, dtype=bool)
+    free = np.ones(state.beta.size, bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
     floors = split.floors(problem, state.beta[: stated.p])
     found = descend(problem, state, free, Policies.of(split.options, floors, seeks_smoothing=True), SMOOTHING_STEPS)

@@ -355,4 +355,4 @@ def share_without_cause(table: ErrorTable, family: Family, material: float) -> f
     least = (1.0 - material) * table.errors(NOMINAL, table.draws)
     rows = [row for _, row in family.rivals] + ([] if family.answer is None else [family.answer.row])
     stays = [table.errors(row, table.draws) >= least for row in rows]
-    return float(np.mean(np.all([np.ones(least.shape, dtype=bool), *stays], axis=0)))
+    return float(np.mean(np.all([np.ones(least.shape, bool), *stays], axis=0)))

@@ -22,7 +22,7 @@ from estimator.fitting.disturbance import (
     predicts_worse,
 )
 from estimator.fitting.extension import ExtendedFit, extend, extended
-from estimator.fitting.gauss_newton import Policies, descend
+from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.omitted_effects import with_candidates
 from estimator.fitting.profile_likelihood import suits
@@ -60,8 +60,7 @@ def with_disturbance(fitted: ExtendedFit) -> ExtendedFit:
         x = state.x if state.x.e is not None else replace(state.x, e=np.zeros_like(state.x.u))
         state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
         try:
-            floors = noise_floors(problem, problem.mechanism, state.beta)
-            state = descend(problem, state, free, Policies.of(options, floors, levels_by_run=True))
+            state = iterate(problem, state, free, options, noise_floors(problem, problem.mechanism, state.beta))
         except FitError:
             return fitted
         if not state.converged:

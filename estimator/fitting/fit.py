@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -14,17 +15,31 @@ from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermi
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.motion_search import NominalFit
+from estimator.fitting.motion_search import first_fit, with_hold
 from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.scale import require_scale
 from estimator.fitting.wls import fit_wls
+from estimator.likelihood import State
 from estimator.methods import METHODS, Method
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
 from estimator.signals import is_plain, split_signals
+
+
+class NominalFit(NamedTuple):
+    """The likeliest model of runs without any effect, and how torque acts between their samples."""
+
+    hold: str
+    mechanism: Mechanism
+    """With the friction's smoothing velocities."""
+    state: State | None = None
+    """Where the fit ends; not converged where the readings of an IMU were moved. None where there is no fit."""
+    delays_s: tuple[float, ...] = ()
+    """See `HoldChoice`."""
+
 
 Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
 ESTIMATORS: dict[str, Estimator] = dict(zip(METHODS, (fit_mle, fit_wls, fit_rls, fit_hekf), strict=True))
@@ -61,13 +76,16 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
 
 
 def fit_nominal(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NominalFit:
-    """`NominalFit` of all runs; if no fit converges, one without a state."""
+    """`NominalFit` of all runs, with the hold and velocities that `options` state, or the likeliest; if no fit
+    converges, one without a state."""
     try:
-        if options.prior:
-            check_known(mechanism, options.prior)
+        check_known(mechanism, options.prior)
         require_scale(datasets, mechanism, options)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that diverges raises
-            return NominalFit.of(datasets, mechanism, options)
+            fitted = with_hold(first_fit(datasets, mechanism, options))
+        (problem, state, *_), chosen = fitted, fitted.chosen
+        state = replace(state, smoothing=None, converged=state.converged and not fitted.age_s)
+        return NominalFit(problem.collocation.hold, problem.mechanism, state, chosen.delays_s if chosen else ())
     except FitError:
         return NominalFit(FIRST if options.hold == AUTO else options.hold, mechanism)
 
@@ -76,8 +94,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
-    if options.prior:
-        check_known(mechanism, options.prior)
+    check_known(mechanism, options.prior)
     require_scale(datasets, mechanism, options)
     if method != "mle" or options.latent == "free":
         own = "--latent free" if method == "mle" else f"--method {method}"

@@ -78,10 +78,10 @@ class Policies:
     """What is known of parameters beforehand."""
 
     @classmethod
-    def of(cls, options: FitOptions, floors: Noise | None, seeks_smoothing: bool = False, levels_by_run: bool = False,
-           rough: bool = False) -> Policies:
+    def of(cls, options: FitOptions, floors: Noise | None, seeks_smoothing: bool = False, rough: bool = False
+           ) -> Policies:
         """Those of a fit; see `NoiseUpdate` and `SmallSteps`."""
-        return cls(NoiseUpdate(options, floors, seeks_smoothing, levels_by_run), SmallSteps(rough), prior=options.prior)
+        return cls(NoiseUpdate(options, floors, seeks_smoothing), SmallSteps(rough), prior=options.prior)
 
 
 def iterate(problem: LatentProblem, state: State, free: BoolArray, options: FitOptions,

@@ -72,7 +72,7 @@ class Filter:
 
     def run(self, y: FloatArray, torque: FloatArray, x: FloatArray, covariance: FloatArray) -> Filtered:
         """Filter y (R, N, y) driven by torque (R, N, n) from x (R, 2 n + p) and its covariance."""
-        state = Filtered(x.copy(), covariance.copy(), np.zeros(len(x), dtype=bool))
+        state = Filtered(x.copy(), covariance.copy(), np.zeros(len(x), bool))
         for k in range(y.shape[1]):
             if k:
                 self._predict(state, torque[:, k - 1], torque[:, k])

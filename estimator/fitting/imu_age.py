@@ -76,7 +76,7 @@ def with_skew(fitted: ExtendedFit) -> ExtendedFit:
     aged = bound_s or age_s or (chosen is not None and chosen.imu_age_s)
     if not aged or not fitted.problem.has_imu or fitted.terms:
         return fitted
-    _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, dtype=bool), fitted.state.noise)
+    _, again = extend(fitted, ((SensorTimeSkew(), np.zeros(1)),), np.ones(1, bool), fitted.state.noise)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     kept, told = _judged(again.converged, skew + age_s, std, bound_s)
     fitted = fitted._replace(said=(*fitted.said, told))

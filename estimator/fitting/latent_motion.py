@@ -47,7 +47,7 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
     Where neither the problem nor the state knows what dry friction leaves open at rest, it is found on the way. Raises
     `FitError` where the equations become singular.
     """
-    stop, held = SmallFall(state.x, limit), np.zeros(state.beta.size, dtype=bool)
+    stop, held = SmallFall(state.x, limit), np.zeros(state.beta.size, bool)
     by = Policies(StictionAlone(), stop, FallDamping())
     found = descend(problem, replace(state, smoothing=None), held, by, limit + 1)
     return replace(state, x=stop.best, noise=found.noise)

@@ -24,6 +24,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.imu_age import with_skew
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import converge_motion, marginal_of
+from estimator.fitting.levels_by_run import with_levels_by_run
 from estimator.fitting.loop_terms import scattered, with_loop_terms
 from estimator.fitting.motion_search import first_fit, with_hold
 from estimator.fitting.noise_levels import (
@@ -59,7 +60,7 @@ from estimator.signals import SignalSet, angle_column, predicted_columns
 
 CONFLICT_STEPS = 20
 """Steps without a prior, from the fit with it, that show whether the runs contradict it."""
-CANDIDATES = with_hold, with_unseen_torque, with_disturbance, with_loop_terms, with_skew
+CANDIDATES = with_hold, with_levels_by_run, with_unseen_torque, with_disturbance, with_loop_terms, with_skew
 """What a fit has where its records ask for it, in the order in which it is asked. The first is that of every verb."""
 
 

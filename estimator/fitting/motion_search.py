@@ -1,14 +1,13 @@
 """Motion, parameters and noise levels that are likeliest under one hold, from readings alone: `search_motion`.
 
-Before it, an IMU's age is taken off: `first_fit`. After it `with_hold` takes the likeliest hold. `NominalFit` stops
-there: it is what every verb begins with. `find_loop` wants values of loops alone.
+Before it, an IMU's age is taken off: `first_fit`. After it `with_hold` takes the likeliest hold: every verb begins with
+both. `find_loop` wants values of loops alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,29 +31,6 @@ from estimator.signals import SignalSet, split_signals, with_earlier_imu
 LEAST_AGE = (1e-3, 0.1)
 """Rough age of an IMU, in [s] and in samples, from which on its readings are moved before the fit; less is a term of
 the fit."""
-
-
-class NominalFit(NamedTuple):
-    """The likeliest model of runs without any effect, and how torque acts between their samples."""
-
-    hold: str
-    mechanism: Mechanism
-    """With the friction's smoothing velocities."""
-    state: State | None = None
-    """Where the fit ends; not converged where the readings of an IMU were moved, or a run has levels of its own. None
-    where there is no fit."""
-    delays_s: tuple[float, ...] = ()
-    """See `HoldChoice`."""
-
-    @classmethod
-    def of(cls, datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NominalFit:
-        """The fit of all runs, with the hold and velocities that `options` state, or the likeliest. Raises
-        `FitError`."""
-        fitted = with_hold(first_fit(datasets, mechanism, options))
-        problem, state, chosen = fitted.problem, fitted.state, fitted.chosen
-        whole = state.converged and not fitted.age_s and state.noise.scale is None
-        state = replace(state, noise=replace(state.noise, scale=None), smoothing=None, converged=whole)
-        return cls(problem.collocation.hold, problem.mechanism, state, chosen.delays_s if chosen else ())
 
 
 def find_loop(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, sure: Sequence[str]
@@ -116,7 +92,7 @@ def search_motion(signals: list[SignalSet], mechanism: Mechanism, options: FitOp
     for gentle in (False, True):
         try:
             start = gentle_start(problem, signals, mechanism, options, free, beta) if gentle else warm or begin
-            state = descend(problem, start, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
+            state = descend(problem, start, free, Policies.of(options, floors, seeks_smoothing))
             refuse_collapse(problem, state, mechanism)
         except FitError as error:
             failure = error

@@ -20,7 +20,6 @@ from estimator.likelihood import (
     effective_samples,
     find_smoothing,
     find_stiction,
-    unit_scale,
     unseen_level,
 )
 from estimator.options import FitOptions
@@ -30,8 +29,6 @@ SAME_NOISE = 0.003
 """Noise levels that changed by less than this share leave what the latents take of each channel as it was."""
 ANEW = 0.1
 """Change of a noise level beyond which objectives of before and after say nothing of a step."""
-RUNS_APART = 0.5
-"""Length of a step, in standard deviations, below which runs may begin to have noise levels of their own."""
 TORQUE_SHARE = 0.4
 """Most of a measured torque's spread that may be noise, see `most_noise`."""
 SHOWN = 1.2
@@ -69,14 +66,13 @@ class NoiseUpdate:
     """Renewal of the noise at each step of one search, for all that `options` leave open.
 
     `floors` None keeps the noise levels. `seeks_smoothing`: friction's smoothing velocity is estimated, too; until it
-    is found, what dry friction leaves open is one draw a sample. `levels_by_run`: runs may have levels of their own.
+    is found, what dry friction leaves open is one draw a sample. Where runs have levels, those that differ are kept.
     Stiction that neither the problem nor the state knows is found on the way.
     """
 
     options: FitOptions
     floors: Noise | None
     seeks_smoothing: bool = False
-    levels_by_run: bool = False
     _change: float = 0.0
     _finds_stiction: bool = False
     _one_per_crossing: bool = True
@@ -118,9 +114,9 @@ class NoiseUpdate:
                 problem = self._smoothed(problem, state, taken, residuals["torque"], iteration)
             self._change, floors = 0.0, floors_under(state.noise, self.floors)
             unseen = _unseen(problem, state, taken)
-            if self.levels_by_run and (state.noise.scale is not None or taken.moved < RUNS_APART):
-                state.noise, self._change = _with_scale(problem, state.noise, residuals, self._dof, self.options,
-                                                        floors)
+            if state.noise.scale is not None:
+                state.noise, self._change = _with_scale(problem, state.noise, state.noise.scale, residuals, self._dof,
+                                                        self.options, floors)
             noise = replace(_renewed(problem, state, self._dof, residuals, self.options, floors), unseen=unseen)
             self._change, state.noise = max(self._change, _change_of(state.noise, noise)), noise
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
@@ -252,17 +248,16 @@ def whitened(residuals: Mapping[str, FloatArray], scale: NoiseScale | None) -> M
     return {kind: residuals[kind] / values for kind, values in scale.by_kind() if kind in residuals}
 
 
-def _with_scale(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray],
+def _with_scale(problem: LatentProblem, noise: Noise, before: NoiseScale, residuals: Mapping[str, FloatArray],
                 effective_dof: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> tuple[Noise, float]:
     """`noise` with the noise scales of its runs renewed, and the largest relative change of one."""
-    scale = renewed(problem, noise, residuals, effective_dof, options, floors)
+    scale = renewed(problem, noise, before, residuals, effective_dof, options, floors)
     if scale is None:
         return replace(noise, scale=None), 0.0
     driven = list(problem.mechanism.actuated)
     if driven:  # a passive joint's level stays as far below the torque's in each run as it is in all
         quietest = np.min(noise.torque[driven] * scale.torque[:, driven], axis=1)
         scale.torque[:, list(problem.mechanism.passive)] = (quietest / np.min(quietest))[:, None]
-    before = noise.scale or unit_scale(problem.total, problem.n, problem.imu_count)
     change = max(float(np.max(np.abs(np.log(new / old)), initial=0.0))
                  for (_, new), (_, old) in zip(scale.by_kind(), before.by_kind(), strict=True))
     return replace(noise, scale=scale), change

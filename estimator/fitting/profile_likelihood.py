@@ -78,7 +78,7 @@ def empty(records: Records, p: int) -> Searched:
     """An empty result."""
     runs, samples, n = records.angles.shape
     return Searched(np.full((runs, p), np.nan), np.full((runs, p, p), np.nan), np.full((runs, samples, 3 * n), np.nan),
-                    np.full(runs, np.inf), np.zeros(runs, dtype=bool), np.zeros(runs, dtype=np.intp))
+                    np.full(runs, np.inf), np.zeros(runs, bool), np.zeros(runs, dtype=np.intp))
 
 
 def suits(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> bool:
@@ -113,7 +113,7 @@ def search(problem: BatchProblem, records: Records) -> Searched:
     """Best beta and motion of each record from up to len(STARTS) starts."""
     searched = empty(records, problem.mechanism.p)
     mean, spread = expected_misfit(problem, records.angles.shape[1])
-    agreed = np.zeros(len(searched.objective), dtype=bool)
+    agreed = np.zeros(len(searched.objective), bool)
     for degree, length in STARTS:
         where = np.flatnonzero(~(searched.converged & (agreed | (searched.objective < mean + MISFIT_SPREADS * spread))))
         if where.size == 0:
@@ -229,7 +229,7 @@ def descend(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatA
     at_score = np.zeros((runs, p))
     at_information, at_by_beta = np.zeros((runs, p, p)), np.zeros((*x.shape, p))
     damping = np.full(runs, 1e-2)
-    inner = np.zeros(runs, dtype=int)
+    inner = np.zeros(runs, int)
     budget = np.full(runs, float(OUTER_STEPS))
     x, beta = x.copy(), beta.copy()
     active = np.arange(runs)
@@ -307,7 +307,7 @@ def _linearise_each(problem: BatchProblem, records: Records, x: FloatArray, beta
                     active: Index) -> tuple[Point, BoolArray]:
     """The point of every active record, and whether it could be solved; one bad record does not stop the others."""
     try:
-        return problem.linearise(records.pick(active), x[active], beta[active]), np.ones(active.size, dtype=bool)
+        return problem.linearise(records.pick(active), x[active], beta[active]), np.ones(active.size, bool)
     except np.linalg.LinAlgError:
         if active.size == 1:
             shape, p = x[active].shape, beta.shape[1]

@@ -36,7 +36,6 @@ LEAST_LEFT = 0.02
 """Share of a channel's samples that the latents leave at least."""
 STEP = 2.0
 """Most by which a level changes at once."""
-IntArray = IndexArray
 
 
 class Column(NamedTuple):
@@ -96,33 +95,27 @@ def imu_names(problem: LatentProblem, imu: int) -> tuple[str, str, str]:
     return f"gyro{own}_radps", f"accel{own}_x_mps2", f"accel{own}_y_mps2"
 
 
-def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],
-            options: FitOptions, floors: Noise) -> NoiseScale | None:
-    """The runs' levels over those of all; None where runs are alike, or one.
+def renewed(problem: LatentProblem, noise: Noise, old: NoiseScale, residuals: Mapping[str, FloatArray],
+            taken: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> NoiseScale | None:
+    """The runs' levels over those of all, which were `old`; None where runs are alike.
 
     `residuals` are after a step, not weighted, `taken` is of `effective_samples`. A channel that had levels of its runs
     before keeps them, whatever the test says now.
     """
-    if len(problem.run_starts) < 2:
-        return None
-    old = noise.scale
-    asked, scale = set(old.channels if old else ()), unit_scale(problem.total, problem.n, problem.imu_count)
+    asked, scale = set(old.channels), unit_scale(problem.total, problem.n, problem.imu_count)
     lengths = np.diff(np.append(problem.run_starts, problem.total))
     for column in columns(problem, noise, residuals, taken, options, floors):
         found = run_levels(column, problem.run_starts, lengths)
         if not found.differ and column.name not in asked:
             continue
         asked.add(column.name)
-        ratio = found.ratio
-        if old is not None:
-            before = _of(old, column)[problem.run_starts]
-            ratio = before * np.clip(ratio / before, 1.0 / STEP, STEP)
-        ratio = np.maximum(ratio, column.floor / column.level)
+        before = _of(old, column)[problem.run_starts]
+        ratio = np.maximum(before * np.clip(found.ratio / before, 1.0 / STEP, STEP), column.floor / column.level)
         _of(scale, column)[:] = np.repeat(ratio, lengths)
     return replace(scale, channels=frozenset(asked)) if asked else None
 
 
-def run_levels(column: Column, starts: IntArray, lengths: IntArray) -> RunLevels:
+def run_levels(column: Column, starts: IndexArray, lengths: IndexArray) -> RunLevels:
     """Noise levels of the runs, which begin at samples `starts` (R,) and have so many, `lengths` (R,)."""
     size = max(LEAST_PIECE, int(np.mean(lengths)) // PIECES)
     counts = np.maximum(lengths // size, 1)

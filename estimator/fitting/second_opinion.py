@@ -162,7 +162,7 @@ def _held_out(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     ratio, half = log_ratio(error)
     count = error.shape[1]
     return HeldOut(1.0 - math.exp(ratio), (1.0 - math.exp(ratio + half), 1.0 - math.exp(ratio - half)), count,
-                   measured_use("simulation", error[1], np.ones(count), np.zeros(count, dtype=int), SHORT_S))
+                   measured_use("simulation", error[1], np.ones(count), np.zeros(count, int), SHORT_S))
 
 
 def _blocks(data: Dataset) -> list[Dataset]:

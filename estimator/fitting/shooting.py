@@ -195,7 +195,7 @@ class _Search:
     def run(self, beta: FloatArray) -> tuple[_Point, _Step, bool, int]:
         """Result of a search from `beta` (p,) and the measured motion: the end, the step that would be next, whether it
         is none, steps."""
-        point = _Point(np.array(beta, dtype=np.float64), *self.home, np.zeros((0, 0)), np.zeros(0, dtype=bool))
+        point = _Point(np.array(beta, dtype=np.float64), *self.home, np.zeros((0, 0)), np.zeros(0, bool))
         best, damping, share = np.inf, 0.0, 1.0
         linear, step = self.linearised(point, None)
         for taken in range(1, STEPS + 1):

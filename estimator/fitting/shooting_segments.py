@@ -67,7 +67,7 @@ class Segments:
             edges += np.linspace(begin, end, count + 1).astype(int)[1:].tolist()
         self.edges = np.array(edges)
         self.first, self.size = self.edges[:-1], np.diff(self.edges)
-        inner = np.ones(d.total, dtype=bool)
+        inner = np.ones(d.total, bool)
         inner[self.edges[1:] - 1] = False
         self.left = np.flatnonzero(inner)
         """Samples that begin an interval of a segment."""
@@ -171,7 +171,7 @@ class Segments:
         q, v = state[:, :n], state[:, n:]
         out = np.zeros_like(q)
         out[1:-1] = 2.0 * (q[2:] - 2.0 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2.0 * h)
-        known = np.ones(len(q), dtype=bool)
+        known = np.ones(len(q), bool)
         known[part.first] = known[part.first + part.size - 1] = False
         return out, known
 
@@ -181,7 +181,7 @@ class Segments:
 
         Newton's method on all segments at once, each with steps of its own length.
         """
-        q, v, found = q.copy(), v.copy(), np.zeros(len(self.first), dtype=bool)
+        q, v, found = q.copy(), v.copy(), np.zeros(len(self.first), bool)
         for _ in range(ROUNDS):
             for part in self.parts(np.flatnonzero(~found)):
                 q[part.rows], v[part.rows], found[part.segments] = self._newton(part, q[part.rows], v[part.rows], beta)

@@ -19,7 +19,7 @@ import numpy as np
 
 from estimator.fit_errors import FIT_ERRORS
 from estimator.fitting.extension import ExtendedFit
-from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend
+from estimator.fitting.gauss_newton import MAX_ITERATIONS, iterate
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.latent_motion import marginal_of
 from estimator.likelihood import LatentProblem, Noise
@@ -47,7 +47,7 @@ def with_unseen_torque(fitted: ExtendedFit) -> ExtendedFit:
     try:
         least = marginal_of(problem, state)
         for limit, more in ((FIRST_STEPS, 0.0), (MAX_ITERATIONS, 0.5 * len(joints) * np.log(problem.total))):
-            found = descend(problem, begin, free, Policies.of(options, floors, levels_by_run=True), limit)
+            found = iterate(problem, begin, free, options, floors, limit)
             if marginal_of(problem, found) <= least + more:
                 return fitted
     except FIT_ERRORS:

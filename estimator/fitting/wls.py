@@ -121,7 +121,7 @@ def stacked(values: Sequence[FloatArray], rate_hz: float, cutoff_hz: float | Non
 def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[BoolArray, FloatArray]:
     """(p,) mask of the estimated parameters, and beta with the fixed values. Raises `FitError` on a wrong name."""
     beta = np.zeros(mechanism.p)
-    free = np.ones(mechanism.p, dtype=bool)
+    free = np.ones(mechanism.p, bool)
     for name, value in options.fixed.items():
         if name not in mechanism.names:
             raise FitError(f"{name} is no parameter of {mechanism.name}; it has {', '.join(mechanism.names)}")

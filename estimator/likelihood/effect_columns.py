@@ -68,7 +68,7 @@ def columns_of(derivatives: Sequence[Perturbation], view: View
     of the readings."""
     k, n = len(derivatives), len(view.samples.q)
     at_gauss, at_samples = (np.zeros((k, *at.q.shape)) for at in (view.gauss, view.samples))
-    acts = np.zeros((k, n), dtype=bool)
+    acts = np.zeros((k, n), bool)
     rows: dict[Channel, list[int]] = {}
     for i, d in enumerate(derivatives):
         if d.torque is not None and d.torque_at_samples is not None:

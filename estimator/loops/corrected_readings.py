@@ -39,7 +39,7 @@ def _corrected(data: Dataset, mechanism: Mechanism, joint: int, faults: Found) -
         return data
     columns = {name: data[name].copy() for name in (given, told, angle)}
     for where in data.segments([given, told, angle]):
-        every = np.ones(where.stop - where.start, dtype=bool)
+        every = np.ones(where.stop - where.start, bool)
         run = corrected(LawRun(data.name, data.rate_hz, data[given][where], data[told][where], data[angle][where],
                                every), faults)
         for name, new in zip((given, told, angle), (run.input, run.command, run.angle)):

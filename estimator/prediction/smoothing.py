@@ -41,11 +41,11 @@ def smooth_segments(model: FittedModel, run: str, signals: Sequence[SignalSet], 
     mechanism, options = model.mechanism, replace(options, hold=model.hold)
     problem = model.problem(signals, session_s)
     if begin is None:
-        begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
+        begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, bool), model.beta)
     beta = model.parameters.copy()
     state = State(begin.x, beta, begin.noise.levels(), np.zeros((beta.size,) * 2))
     floors = noise_floors(problem, mechanism, model.beta)
-    state = iterate(problem, state, np.zeros(beta.size, dtype=bool), options, floors)
+    state = iterate(problem, state, np.zeros(beta.size, bool), options, floors)
     return SmoothedRun(run, tuple(signals), problem, converge_motion(problem, state))
 
 

@@ -87,7 +87,7 @@ def walk_ahead(runs: Sequence[tuple[Dataset, SmoothedRun]]) -> WalkAhead:
     """Free runs of a walker from the smoothed state in which each step begins; each run with its smoothed motion."""
     mechanism = runs[0][1].problem.mechanism
     squares = np.zeros((MOST_STEPS, mechanism.n))
-    samples, pieces, fell = (np.zeros(MOST_STEPS, dtype=int) for _ in range(3))
+    samples, pieces, fell = (np.zeros(MOST_STEPS, int) for _ in range(3))
     whole = []
     for data, smoothed in runs:
         record, x, steps = walking(data, mechanism), smoothed.state.x, len(smoothed.signals)

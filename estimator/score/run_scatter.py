@@ -86,7 +86,7 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     effects = random_effects(score, information)
     mean[at] += effects.mean[kept]
     by_run[:, at] += (effects.mean + effects.by_run)[:, kept]
-    scatter, seen = np.zeros(p), np.zeros(p, dtype=bool)
+    scatter, seen = np.zeros(p), np.zeros(p, bool)
     scatter[at] = effects.scatter[kept]
     seen[at] = (effects.unsure < SEEN * effects.scatter**2)[kept]
     return wide, RunAgreement(scores.runs, p_value, own_std, True, quantile, mean, scatter, by_run, seen, scores.unit)

@@ -124,7 +124,7 @@ def determined(runs: Sequence[Score], free: BoolArray) -> BoolArray:
 
     The others must leave a share 1 / (I_kk C_kk) of its information I_kk above HIDDEN; C is the pooled inverse of I.
     """
-    out = np.zeros(free.size, dtype=bool)
+    out = np.zeros(free.size, bool)
     which = np.flatnonzero(free)
     information = total([r.of(which) for r in runs]).information
     out[which] = np.diag(information) * np.diag(pseudo_inverse(information)) < 1.0 / HIDDEN
