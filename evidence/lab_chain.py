@@ -15,6 +15,7 @@ from evidence.frame import Lines, program, share, table, within
 from evidence.kept import kept
 from evidence.known_legs import NAMES, answered
 from evidence.registry import Evidence
+from experiments.documents import finite
 from tests.support.lab_readings import read_with
 from tests.support.mujoco_leg import random_leg
 from tests.support.timed_leg import Timing, record
@@ -28,6 +29,8 @@ SPRING = 0.3
 """[N m/rad] at the pivot of every other leg."""
 FAULTY = 2.0
 """Standard deviations beyond which a fault that is named is one."""
+RESTS = ("none", "named", "one_of")
+"""Verdicts whose model a user takes parameters from."""
 IMUS = ((0.0, 0.0), (0.001, 100.0), (0.001, 50.0))
 """Age [s] and low pass [Hz] of the IMU, in turn."""
 
@@ -41,6 +44,8 @@ class Answer(NamedTuple):
     """Whether its IMU is."""
     within: tuple[bool, ...]
     """Whether each of beta1..9 is in the fit's interval."""
+    diagnosed: tuple[bool, ...]
+    """Likewise of the diagnosis' model, with the causes that it names."""
     worst: float
     """Largest error of beta1..5, the torque's scale apart [%]."""
     trust: str
@@ -74,7 +79,9 @@ def answer(seed: int, turn: int) -> Answer:
     stiffness = next((s.ci95 for c in found.details.causes if (c.effect, c.joint) == ("joint_stiffness", 1)
                       for s in c.size if s.name == "stiffness"), None)
     values = dict(zip(fit.mechanism.names, fit.beta, strict=True))
-    return Answer(turn, spring, cutoff_hz > 0.0, inside,
+    at = found.parameters.extended_ci95 or found.parameters.nominal_ci95
+    diagnosed = tuple(finite(at[name][0]) <= b <= finite(at[name][1]) for name, b in zip(NAMES, leg.beta()))
+    return Answer(turn, spring, cutoff_hz > 0.0, inside, diagnosed,
                   100.0 * max(abs(float(values[n] / (gain * b)) - 1.0) for n, b in zip(NAMES[:5], leg.beta()[:5])),
                   trust, found.verdict, tuple(c.effect for c in found.causes),
                   tuple(c.effect in there for c in found.causes), stiffness,
@@ -98,6 +105,8 @@ def page(minutes: float = 20.0, seed: int = 6500) -> Lines:
         f"- Fits that say TRUST: {share(a.trust == 'TRUST' for a in found)}.",
         f"- Parameters of trusted fits within their intervals: {share(w for a in trusted for w in a.within)}, "
         f"beta1 to beta5 {share(w for a in trusted for w in a.within[:5])} (93 % wanted).",
+        "- Parameters of the diagnosis' model within their intervals, where a verdict rests on it: "
+        f"{share(w for a in found if a.verdict in RESTS for w in a.diagnosed)} (93 to 97 % wanted).",
         f"- Median of the largest error of beta1 to beta5, the torque's scale apart: "
         f"{float(np.median([a.worst for a in found])):.2g} %.",
         f"- Trusted fits more than 10 % off: {share(a.worst > 10.0 for a in trusted)} (none wanted).",

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -145,9 +146,7 @@ def fit_imu(segments: Sequence[Segment], rate_hz: float, cutoff_hz: float, lever
         gyro.run(shift)
     by_gyro = [p.by_gyro(s + gyro.theta[-1], gyro.theta) for p, s in zip(pieces, shift)]
 
-    def predict(theta: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        return accelerometer(theta, q, qd, qdd, gravity_mps2)
-
+    predict = partial(accelerometer, gravity_mps2=gravity_mps2)
     start = np.zeros(len(ACCEL))
     start[LEVER], start[LATE] = lever_m, gyro.theta[-1]
     accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)

@@ -22,7 +22,7 @@ from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, Rotation
 from estimator.diagnosis.small_faults import taken_in_words
 from estimator.diagnosis.tolerances import with_tolerances
-from estimator.diagnosis.verdict import Decision
+from estimator.diagnosis.verdict import Decision, excused
 from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size, TorqueDelay
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
@@ -66,6 +66,9 @@ def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, d
     if decision.minor is not None:
         answer = with_minor(answer, decision.minor)
     told = [with_terms(context, answer, context.terms), *others]
+    final = excused(table, replace(decision, answer=replace(decision.answer, best=tuple(told))))
+    if final.verdict != decision.verdict:  # with the terms, the tolerances hold what was named
+        return describe(context, base, family, final, table, first, rotations, None, rng)
     return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
 
 

@@ -132,7 +132,7 @@ def _keys(answer: Answer | None) -> frozenset[str]:
 
 def decide(table: ErrorTable, family: Family, material: float) -> Decision:
     """The verdict by the errors in `table`; `material` is the least relative reduction that counts."""
-    decision = tolerated(table, _decide(table, family, material))
+    decision = excused(table, _decide(table, family, material))
     if decision.verdict != "none" or decision.within:
         return decision
     row = NOMINAL if decision.answer is None else decision.answer.row
@@ -145,7 +145,7 @@ def decide(table: ErrorTable, family: Family, material: float) -> Decision:
     return replace(decision, verdict="unexplained", why=why, refused=True) if why else decision
 
 
-def tolerated(table: ErrorTable, found: Decision) -> Decision:
+def excused(table: ErrorTable, found: Decision) -> Decision:
     """`found`, or no fault where the tolerances of the rig hold the sizes of all that it names, and leave no more than
     noise may."""
     if found.answer is None or found.verdict not in ("named", "partial") or found.answer.best[0].beyond:

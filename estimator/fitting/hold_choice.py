@@ -156,7 +156,8 @@ def _delayed(parts: Sequence[SignalSet], mechanism: Mechanism, begin: State, del
         nearest = holds[int(np.argmin(np.abs(rate * late - np.array([lag(hold) for hold in holds]))))]
         if not _evidence(0.0, late - lag(nearest) / rate, std, 1.0 / rate).delay_s:
             return HoldChoice(nearest, margin, HELD if family == FIRST else FIRST)
-    alike = max(PRIOR, _shape(line.std_s, 1.0 / rate))
+    # an error of KNOWN samples costs that much: a smaller difference does not tell two shapes apart
+    alike = max(PRIOR, 0.5 * (KNOWN / rate / line.std_s) ** 2 if line.std_s else 0.0)
     apart = (centre - (delay + lag(HELD)) / rate) * (abs(ahead) <= alike)
     if ahead > -alike:
         return HoldChoice(HELD, ahead, FIRST, delay / rate, apart_s=apart)
@@ -170,14 +171,6 @@ def _freed(problem: LatentProblem, begin: State, free: BoolArray, options: FitOp
             problem, problem.mechanism, begin.beta[: problem.mechanism.p]), FREED)
     except FitError:
         return begin
-
-
-def _shape(std_s: float, dt_s: float) -> float:
-    """Log-likelihood that an error of KNOWN samples costs where a delay is known to `std_s`.
-
-    A smaller difference does not tell two shapes apart.
-    """
-    return 0.5 * (KNOWN * dt_s / std_s) ** 2 if std_s else 0.0
 
 
 def _age(freed: State, dt_s: float) -> float:

@@ -58,7 +58,7 @@ def segments_as(kind: type[V], table: PredictionTable) -> list[V]:
             last = int(np.argmin(good)) if not good.all() else end - begin
             errors = simulated[:, begin : begin + last] - compared[:, begin : begin + last]
             sums, rmse = {}, {}
-            for name, error in zip(interleaved(table.channels[: 2 * n]), errors[_order(n)]):
+            for name, error in zip((table.channels[k] for k in _order(n)), errors[_order(n)]):
                 known = error[np.isfinite(error)]
                 sums[name] = float(np.sum(known**2)) if last == end - begin else np.inf
                 rmse[name] = float(np.sqrt(np.mean(known**2))) if known.size else np.inf
@@ -71,8 +71,3 @@ def segments_as(kind: type[V], table: PredictionTable) -> list[V]:
 def _order(n: int) -> list[int]:
     """Angle and rate of each joint, joint by joint, among (2 n,) angles and then rates."""
     return [k for j in range(n) for k in (j, n + j)]
-
-
-def interleaved(channels: tuple[str, ...]) -> list[str]:
-    """`channels`, angles and then rates, joint by joint."""
-    return [channels[k] for k in _order(len(channels) // 2)]

@@ -13,6 +13,7 @@ from scipy.stats import t as student
 
 from daq import Dataset
 from estimator import Diagnosis, FitError, FitOptions, diagnose
+from estimator.diagnosis import account
 from estimator.diagnosis import model as models
 from estimator.diagnosis.account import base
 from estimator.diagnosis.data_split import split_runs
@@ -115,6 +116,18 @@ def test_hold_and_smoothing_do_not_depend_on_the_order(runs: tuple[Leg, list[Dat
 def test_nothing_hidden_is_never_named(healthy: Diagnosis) -> None:
     assert healthy.verdict == "none", healthy.sentence
     assert all(r.smallest_detectable > 0 for r in healthy.candidates)
+
+
+def test_what_the_tolerances_hold_together_with_the_terms_of_a_fit_is_no_fault(
+        runs: tuple[Leg, list[Dataset]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bias was named, and lay within its tolerance with the torque's offset: the diagnosis ended in a traceback."""
+    leg, data = runs
+    tilted = [replace(run, columns=dict(run.columns) | {"accel_x_mps2": run["accel_x_mps2"] + 0.5}) for run in data]
+    monkeypatch.setattr(account, "with_terms", lambda context, one, terms: replace(one, within=one.keys))
+    found = diagnose(tilted, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert (found.verdict, found.causes) == ("none", ())
+    assert found.sentence.startswith("No fault beyond the tolerances of the rig. Within them, accelerometer bias")
+    assert [cause.effect for cause in found.immaterial] == ["accelerometer_bias"] and found.in_library is None
 
 
 def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(runs: tuple[Leg, list[Dataset]]) -> None:
