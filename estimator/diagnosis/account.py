@@ -268,10 +268,9 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
                                          "sizes or parameters can replace them"))
     found = with_gain(found, nominal, best, noise, rng)
     listed = [list(zip(t.model.effects, causes_of(t, p_value, found), strict=True)) for t in indistinguishable]
-    rivals = [[c for e, c in own if e.key in t.beyond] for t, own in zip(indistinguishable, listed)]
-    causes = {c.effect + str(c.joint): c for own in rivals for c in own}
-    small = [c for e, c in listed[0] if e.key in best.within]
-    found = replace(found, immaterial=(*found.immaterial, *small))
+    rivals = [[c for e, c in own if e.key in t.beyond or not t.beyond] for t, own in zip(indistinguishable, listed)]
+    causes = tuple({c.effect + str(c.joint): c for own in rivals for c in own}.values())
+    found = replace(found, immaterial=(*found.immaterial, *(c for e, c in listed[0] if e.key in best.within)))
     if len(indistinguishable) == 1:
         told = "; ".join(_told(c) for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
@@ -279,13 +278,12 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
         if partial:
             sentence += f" A material residual remains that no listed effect explains{_where(found)}."
         return replace(found, verdict="partial" if partial else "named", sentence=sentence,
-                       causes=tuple(causes.values()),
-                       next_experiment=f"To measure it better: {steps}.")
+                       causes=causes, next_experiment=f"To measure it better: {steps}.")
     told = " or ".join(" with ".join(_told(c) for c in r) for r in rivals)
     steps = "; ".join(f"for {' and '.join(e.key for e in t.model.effects)}: "
                       f"{'; '.join(e.experiment for e in t.model.effects)}" for t in indistinguishable)
     return replace(found, verdict="one_of", sentence=f"One of these causes; these runs cannot tell which: {told}.",
-                   causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
+                   causes=causes, next_experiment=f"To tell them apart: {steps}.")
 
 
 def _told(cause: Cause) -> str:

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from pytest import approx, mark
+from numpy.random import default_rng
+from pytest import MonkeyPatch, approx, mark
 
 from estimator import Diagnosis
-from estimator.diagnosis.account import causes_of, compared, undecided, with_blind_sensors, with_minor
+from estimator.diagnosis import account
+from estimator.diagnosis.account import causes_of, compared, finding, undecided, with_blind_sensors, with_minor
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
@@ -103,6 +105,18 @@ def test_sizes_are_told_as_they_are_together_with_a_minor_cause() -> None:
     assert found.gain == alone.gain and found.beyond == alone.keys and found.within == {delay.key}
     assert [(c.effect, c.size[0].value) for c in causes_of(found, 1e-9, Diagnosis("named", ""))] == [
         ("joint_stiffness", 0.370), ("torque_delay", 0.005)]
+
+
+def test_each_of_the_causes_that_are_not_told_apart_is_told(monkeypatch: MonkeyPatch) -> None:
+    """Of one whose intervals hold zero nothing was told: "... or ."."""
+    monkeypatch.setattr(account, "with_gain", lambda found, *_: found)
+    spring, delay = told((JointStiffness(1), 0.4, 0.01)), told((TorqueDelay(), 0.001, 0.001))
+    either = [one.with_zero_within() for one in (spring, delay)]
+    assert not either[1].beyond
+    nothing: Any = None
+    found = finding(Diagnosis("named", ""), nothing, either, 1e-9, default_rng(1), False, nothing)
+    assert found.verdict == "one_of" and [c.effect for c in found.causes] == ["joint_stiffness", "torque_delay"]
+    assert "torque delay" in found.sentence and found.immaterial == ()
 
 
 def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed() -> None:
