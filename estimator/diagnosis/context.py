@@ -22,19 +22,18 @@ from estimator.diagnosis.model import (
 )
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.result import CandidateScore
+from estimator.diagnosis.tolerances import within_tolerance
 from estimator.effects import Effect
 from estimator.fit_errors import FIT_ERRORS
 from estimator.likelihood import Candidate
 from estimator.prediction import PredictedRun
 from estimator.score import (
     ALPHA,
-    BEYOND,
     NO_TESTS,
     Score,
     ScoreTests,
     columns_of,
     determined,
-    nuisances_of,
     own_inflation,
     project,
 )
@@ -239,16 +238,6 @@ def assessed(context: DiagnosisContext, explanation: Explanation) -> dict[str, A
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
     return dict(left=left, has_residual=detected(context, left, keys), further=further,
-                within=within_tolerance(model), inflation=own_inflation(scores, free, left.scatter),
-                determined=determined(scores, free),
+                within=within_tolerance(model, model.whole_sizes()),
+                inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
                 scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))
-
-
-def within_tolerance(model: Model) -> frozenset[str]:
-    """Keys of the effects of a model whose sizes the tolerances of the rig hold."""
-    stated, found = model.split.tolerances, set[str]()
-    for effect, size in zip(model.effects, model.whole_sizes(), strict=True) if stated is not None else ():
-        own = nuisances_of([Candidate(effect, tuple(size[len(effect.sizes) :]))], model.problem, stated or {})
-        if all(abs(value) <= BEYOND * one.tolerance for value, one in zip(size, own, strict=False)):
-            found.add(effect.key)
-    return frozenset(found)

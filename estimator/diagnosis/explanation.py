@@ -12,7 +12,7 @@ import numpy as np
 from daq import BoolArray, FloatArray
 from estimator.diagnosis.decision_rule import MOST_EFFECTS, SURE, WIDTH
 from estimator.diagnosis.model import Model
-from estimator.diagnosis.tolerances import with_tolerances
+from estimator.diagnosis.tolerances import with_tolerances, within_tolerance
 from estimator.numerics import student_quantile
 from estimator.score import NO_TESTS, Score, ScoreTests, least_sigmas
 
@@ -43,7 +43,7 @@ class Explanation:
     scores: tuple[Score, ...] = ()
     """(R,) of its own parameters, one a train run"""
     within: frozenset[str] = frozenset()
-    """Keys of its effects whose sizes the tolerances of the rig hold; see also `with_zero_within`"""
+    """Keys of its effects whose sizes the tolerances of the rig hold; see also `as_told`"""
 
     @property
     def keys(self) -> frozenset[str]:
@@ -72,11 +72,15 @@ class Explanation:
         """(m,) of their 95 % intervals, by Student's t of their own scatter between runs."""
         return np.asarray(student_quantile(self.left.freedom) * np.sqrt(np.diag(self.estimate[1])))
 
-    def with_zero_within(self) -> Explanation:
-        """The explanation with effects all of whose sizes have zero in their intervals `within` the tolerances, too."""
-        every = zip(self.model.effects, self.sizes(), self.model.places())
-        return replace(self, within=self.within | {e.key for e, size, here in every if np.all(
-            np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])})
+    def as_told(self) -> Explanation:
+        """The explanation with what is `within` by the sizes that are told; those of the model are at its optimum.
+
+        So is an effect all of whose sizes have zero in their intervals.
+        """
+        sizes = self.sizes()
+        zero = {e.key for e, size, here in zip(self.model.effects, sizes, self.model.places()) if np.all(
+            np.abs(size)[: len(e.sizes)] <= self.half_widths[here][: len(e.sizes)])}
+        return replace(self, within=within_tolerance(self.model, sizes) | zero)
 
 
 def seated(explanations: Sequence[Explanation], most: int) -> list[Explanation]:

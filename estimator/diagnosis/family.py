@@ -99,7 +99,7 @@ def _answer(context: DiagnosisContext, rows: _Rows, best: Sequence[Explanation],
     """The answer by its rows, and the first of it with generic terms, where any is significant."""
     first = best[0].model
     extended = with_generic(context, best[0])
-    answer = Answer(tuple(one.with_zero_within() for one in best), rows.of(first),
+    answer = Answer(tuple(one.as_told() for one in best), rows.of(first),
                     tuple(rows.of(part.model) for part in parts), rows.of(extended), imitating)
     return answer, extended
 

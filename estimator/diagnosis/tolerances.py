@@ -11,6 +11,7 @@ from estimator.diagnosis.model import Model, score_train
 from estimator.fitting import Tolerated, tolerated
 from estimator.likelihood import Candidate
 from estimator.score import (
+    BEYOND,
     Nuisance,
     RunScores,
     Score,
@@ -63,3 +64,12 @@ def marginalised(model: Model, scores: Sequence[Score], candidates: Sequence[Can
     whole = Score(whole.score - np.append(np.zeros(free.size), prior), whole.information)
     return tolerated([whole, *scores], (free, None), nuisances, model.state.beta * np.concatenate(powers), mechanism,
                      model.split.tolerances or {})
+
+
+def within_tolerance(model: Model, sizes: Sequence[FloatArray]) -> frozenset[str]:
+    """Keys of the effects of a model whose `sizes` the tolerances of the rig hold."""
+    stated = model.split.tolerances
+    return frozenset() if stated is None else frozenset(
+        effect.key for effect, size in zip(model.effects, sizes, strict=True)
+        if all(abs(value) <= BEYOND * one.tolerance for value, one in zip(size, nuisances_of(
+            [Candidate(effect, tuple(size[len(effect.sizes) :]))], model.problem, stated))))

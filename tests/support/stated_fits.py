@@ -61,7 +61,7 @@ class Fitted:
 
     @property
     def split(self) -> Any:
-        return SimpleNamespace(workers=1, open_size=lambda effect: 0.0)
+        return SimpleNamespace(workers=1, open_size=lambda effect: 0.0, tolerances=None)
 
     @property
     def state(self) -> Any:

@@ -16,6 +16,7 @@ from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import FittedFamily
 from estimator.diagnosis.verdict import Answer, Family, Hidden
 from estimator.effects import TorqueDelay, battery
+from estimator.effects.accelerometer_bias import AccelerometerBias
 from estimator.effects.joint_stiffness import JointStiffness
 from estimator.model import leg2
 from tests.support.stated_fits import NOTHING_LEFT, Named, explained, fitted
@@ -111,12 +112,23 @@ def test_each_of_the_causes_that_are_not_told_apart_is_told(monkeypatch: MonkeyP
     """Of one whose intervals hold zero nothing was told: "... or ."."""
     monkeypatch.setattr(account, "with_gain", lambda found, *_: found)
     spring, delay = told((JointStiffness(1), 0.4, 0.01)), told((TorqueDelay(), 0.001, 0.001))
-    either = [one.with_zero_within() for one in (spring, delay)]
+    either = [one.as_told() for one in (spring, delay)]
     assert not either[1].beyond
     nothing: Any = None
     found = finding(Diagnosis("named", ""), nothing, either, 1e-9, default_rng(1), False, nothing)
     assert found.verdict == "one_of" and [c.effect for c in found.causes] == ["joint_stiffness", "torque_delay"]
     assert "torque delay" in found.sentence and found.immaterial == ()
+
+
+def test_whether_a_cause_is_a_fault_is_decided_by_the_sizes_that_are_told() -> None:
+    """A bias of 0.21 m/s2 at the optimum was a fault, and told as 0.094: less than twice its tolerance of 0.1."""
+    one = told((AccelerometerBias(), 0.21, 0.001))
+    model: Any = one.model
+    model.split.tolerances = {}
+    model.problem = SimpleNamespace(mechanism=leg2(), n=2, torque=np.ones((9, 2)))
+    for size, within in ((0.19, one.keys), (0.21, frozenset())):
+        vars(one).update(estimate=(np.array([size, 0.0]), np.eye(2)), half_widths=np.full(2, 1e-3))
+        assert one.as_told().within == within
 
 
 def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed() -> None:

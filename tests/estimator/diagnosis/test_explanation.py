@@ -175,4 +175,4 @@ def test_a_size_that_the_tolerances_do_not_tell_from_zero_is_no_fault(halves: tu
                                                                      kept: tuple[str, ...]) -> None:
     one = explained(900.0, "spring", "offset")  # both of size 9
     vars(one).update(half_widths=np.array(halves), estimate=(np.array([9.0, 9.0]), np.eye(2)))
-    assert one.with_zero_within().beyond == set(kept)
+    assert one.as_told().beyond == set(kept)
