@@ -1,4 +1,8 @@
-"""The estimators mle, mle-free, wls, rls and hekf, their starts and their bounds."""
+"""The estimators mle, mle-free, wls, rls and hekf, their starts and their bounds.
+
+Every constant has a text. One that gives neither a measurement nor a fact of legs, sensors or arithmetic is a
+convention.
+"""
 
 from estimator.fitting.admissibility import faults, fit_admissible
 from estimator.fitting.disturbance import (

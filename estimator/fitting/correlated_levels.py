@@ -7,7 +7,9 @@ import numpy as np
 from daq import FloatArray
 
 STEPS = 50
+"""Most steps of the search."""
 ENOUGH = 1e-12
+"""Change of all x that ends it."""
 
 
 def excess_variance(declared: FloatArray, found: FloatArray) -> FloatArray:

@@ -40,10 +40,10 @@ FLAT = 0.3
 """Slope of log p by the logarithm of a level or time constant that ends a search: where that is known to 30 %, the last
 0.004 of log p are ahead."""
 LONGEST_S = 10.0
+"""Longest time constant [s]: a longer one is a constant."""
 SHORTEST = 3.0
-"""Bounds of a time constant [s] and [samples]: a longer one is a constant, a shorter one is white. (Measured under a PD
-loop at 200 Hz: one of 0.8 samples took three quarters of the white noise, and errors grew from 1.2 to 2.7 standard
-deviations.)"""
+"""Shortest time constant [samples]: a shorter one is white. (Measured under a PD loop at 200 Hz: one of 0.8 samples
+took three quarters of the white noise, and errors grew from 1.2 to 2.7 standard deviations.)"""
 WORSE = 0.02
 """Growth of the rms error a second ahead that is material."""
 SAME = 0.1

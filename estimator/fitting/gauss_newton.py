@@ -23,6 +23,7 @@ from estimator.numerics import Swept, eliminate
 from estimator.options import FitOptions
 
 MAX_ITERATIONS = 60
+"""Most steps of a search; one that ends there has not converged, which every verb says."""
 MARGIN = 1.1
 """Factor on the misfit that a step predicts at the samples: the Gauss points add to it, and it may still grow."""
 LEAST_VARIANCE = 1e-300

@@ -24,6 +24,7 @@ over the gain, on top of what is stated."""
 STEPS = {"limit": 0.05, "damping": 0.005, "delay_s": 0.003, "integral": 0.05}
 """By which it begins to move."""
 NONE = {"limit": np.inf, "damping": 0.0, "delay_s": 0.0, "integral": 0.0}
+"""Values of a loop that has none of them."""
 FURTHEST = 3.0
 """Largest values over the largest of a grid"""
 MOST_LEFT = 0.98

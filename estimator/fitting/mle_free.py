@@ -43,6 +43,7 @@ from estimator.signals import (
 )
 
 MAX_STEPS = 100
+"""Most steps of the search."""
 TOLERANCE = 1e-10
 """The search ends when a step lowers the sum of squares by less than this share."""
 

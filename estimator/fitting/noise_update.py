@@ -52,7 +52,9 @@ QUIET = 0.15
 LEAST_UNSEEN = 0.01
 """Least level of a torque that no sample shows over the torque's noise: that of the equation's slack."""
 PASSIVE_WAIT = 1
+"""Steps without PASSIVE_EXPONENT."""
 FALL_FACTOR, RISE_FACTOR = 0.985, 1.1
+"""Changes of a level in a step, see PASSIVE_EXPONENT."""
 PASSIVE_EXPONENT = 4.0
 """Power to which a passive joint's change of noise level is raised, after PASSIVE_WAIT steps.
 

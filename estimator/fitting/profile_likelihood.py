@@ -34,6 +34,7 @@ MISFIT_SPREADS = 1.5
 SAME_MISFIT = 1e-2
 """Two starts that end this close to each other have found the same minimum, and the record is done."""
 INNER_STEPS = 8
+"""Most steps of the latents between two of beta."""
 OUTER_STEPS = 60
 """Most linearisations of one search, counted in steps of the outer kind; an inner step counts a quarter."""
 INNER_TOLERANCE = 1e-2
@@ -45,7 +46,9 @@ EXACT_RAD = 1e-7
 MOST_SAMPLES = 500
 """Longer records are started well by filtering."""
 POLISH_STEPS = 2
+"""Full steps from where a search ended."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-7, 1e8
+"""Bounds of the damping, as a share of the information."""
 REACH_RAD = 0.5
 """Steps that move an angle further are shortened: a linearisation means little there."""
 

@@ -127,15 +127,15 @@ def run_levels(column: Column, starts: IndexArray, lengths: IndexArray) -> RunLe
     log = np.log(np.maximum(np.add.reduceat(column.square, begin), 1e-300) / known)
     mean = np.bincount(run, log) / counts
     freedom = len(log) - len(starts)
-    within = 2.0 * float(np.mean(left[run] / known))
+    within = 2.0 * np.mean(left[run] / known)
     if freedom:
-        within = max(within, float(np.sum((log - mean[run]) ** 2)) / freedom)
+        within = max(within, np.sum((log - mean[run]) ** 2) / freedom)
     variance = within / (counts * left**2)
     w = 1.0 / variance
-    centre = float(np.average(mean, weights=w))
-    q, others = float(np.sum(w * (mean - centre) ** 2)), len(starts) - 1
+    centre = np.average(mean, weights=w)
+    q, others = np.sum(w * (mean - centre) ** 2), len(starts) - 1
     scatter = max(0.0, (q - others) / float(np.sum(w) - np.sum(w**2) / np.sum(w)))
-    centre = float(np.average(mean, weights=1.0 / (scatter + variance)))
+    centre = np.average(mean, weights=1.0 / (scatter + variance))
     ratio = np.exp(0.5 * (mean - centre) * scatter / (scatter + variance))
     ratio /= np.sqrt(np.average(ratio**2, weights=lengths))
     worth = float(np.mean(ratio**2) * np.mean(ratio**-2))

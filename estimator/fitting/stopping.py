@@ -13,6 +13,7 @@ from estimator.likelihood import Latents
 TOLERANCE = 0.05
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 LOOSE_AFTER = 15
+"""Steps before LOOSE."""
 LOOSE = 0.15
 """After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
 sample makes the last digits swing."""

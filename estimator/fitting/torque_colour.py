@@ -24,6 +24,7 @@ SAMPLES = 16_000
 """Of a record that are looked at, and of noise that are drawn at least, in LEAST_DRAWS to MOST_DRAWS records. (The mean
 autocorrelation of so many white ones scatters by 0.008.)"""
 LEAST_DRAWS, MOST_DRAWS = 2, 8
+"""See SAMPLES."""
 
 
 class _Drawn(NamedTuple):
