@@ -73,9 +73,9 @@ class Explanation:
         return np.asarray(student_quantile(self.left.freedom) * np.sqrt(np.diag(self.estimate[1])))
 
     def as_told(self) -> Explanation:
-        """The explanation with what is `within` by the sizes that are told; those of the model are at its optimum.
+        """The explanation with `within` by the sizes that are told, not by those at the model's optimum.
 
-        So is an effect all of whose sizes have zero in their intervals.
+        An effect counts as within its tolerance if its sizes are, or if all their intervals hold zero.
         """
         sizes = self.sizes()
         zero = {e.key for e, size, here in zip(self.model.effects, sizes, self.model.places()) if np.all(
